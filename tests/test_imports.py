@@ -32,6 +32,7 @@ protocol:           BASE
 nets:               BASE kernels plugins
 sims:               BASE kernels
 sims.adapters:      BASE sims
+sims.epuck:         BASE kernels sims
 sims.foreign:       BASE plugins sims
 experiment:         BASE plugins protocol
 evaluate:           BASE kernels nets plugins protocol sims
@@ -124,7 +125,7 @@ IMPURE = set(
 )
 # NumPy's functions that are exact or round once, and so give the same bits everywhere; and types.
 NUMPY_IN_KERNELS = set(
-    "abs arange empty full isnan maximum minimum ones sqrt zeros zeros_like inf nan bool_ "
+    "abs arange empty floor full isnan maximum minimum ones sqrt zeros zeros_like inf nan bool_ "
     "float32 float64 int8 int16 int32 int64 uint8 uint16 uint32 uint64".split()
 )
 TRANSCENDENTAL = set(

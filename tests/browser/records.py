@@ -17,7 +17,10 @@ from zswarm.ot.record.writer import Record
 
 CANDIDATES = 10
 BEGUN = 1_790_000_000.0
-EVENT = "INSERT INTO events (at, generation, event, server, text, count) VALUES (?, ?, ?, ?, ?, ?)"
+EVENT = (
+    "INSERT INTO events (at, generation, event, server, text, count, digest) "
+    "VALUES (?, ?, ?, ?, ?, ?, 0)"
+)
 
 
 def write(

@@ -109,8 +109,13 @@ class Link:
             self._travel(lambda: self._arrive(question, reply))
         if world.chance(world.failing):
             # Once more.
-            world.at(1.0, lambda: self.optimizer.handle(Answered(question, reply)))
+            world.at(
+                1.0,
+                lambda: self.optimizer.handle(
+                    Answered(question, reply, self.server.machine)
+                ),
+            )
 
     def _arrive(self, question: int, reply: messages.Reply | str | None) -> None:
         if self.open.pop(question, None) is not None:
-            self.optimizer.handle(Answered(question, reply))
+            self.optimizer.handle(Answered(question, reply, self.server.machine))

@@ -6,9 +6,10 @@ import numpy as np
 
 from zswarm.ot.cluster import events
 from zswarm.ot.cluster.dispatch import Dispatch
+from zswarm.ot.cluster.machines import Known
 from zswarm.ot.cluster.matching import Choice, Terms
 from zswarm.ot.cluster.remote_server import Phase
-from zswarm.ot.notes import Note
+from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.record.history_hash import History
 from zswarm.protocol import messages
 
@@ -27,6 +28,8 @@ class Journal:
         self.finished: list[tuple[list[bytes], np.ndarray]] = []
         # Wrong outcomes of a server may have remained undetected.
         self.doubtful = False
+        self.machines: dict[str, str] = {}  # by server
+        self.banned: dict[str, str] = {}  # machines, and as which server
         self.counted: list[
             tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]
         ] = []
@@ -34,7 +37,8 @@ class Journal:
     def survives(self, now: float) -> "Journal":
         """Return what is on the disk after a crash: all but the last tenth of a second."""
         left = Journal()
-        left.doubtful = self.doubtful
+        left.doubtful, left.banned = self.doubtful, dict(self.banned)
+        left.machines = dict(self.machines)
         left.finished = list(self.finished)
         left.counted = [row for row in self.counted if row[0] < now - COMMIT_S]
         return copy.deepcopy(left)
@@ -94,6 +98,7 @@ class Optimizer(Node[events.Event]):
                 metrics=1,
                 quarantine=True,
                 verify=verify,
+                known=Known(self.journal.machines, self.journal.banned),
             )
         )
         self.workload = experiment.workload(None)  # the one that runs
@@ -141,6 +146,7 @@ class Optimizer(Node[events.Event]):
         for command in commands:
             match command:
                 case events.Ask():
+                    self._check_second(command)
                     self.links[command.server].ask(command.question, command.message)
                 case events.Counted():
                     self._record(command)
@@ -180,6 +186,7 @@ class Optimizer(Node[events.Event]):
                         world.fail(f"{self.run} failed: {command.reason}")
                     self.end()
                 case Note():
+                    self._know(command)
                     self._missed |= (
                         command.event == "unverified"
                         or "when it was verified" in command.text
@@ -193,6 +200,18 @@ class Optimizer(Node[events.Event]):
             )
         self._check()
         self._set_alarm()
+
+    def _know(self, note: Note) -> None:
+        """Record the machines of servers, and which of them compute wrong."""
+        if note.event == RunEvent.SERVER_JOINED:
+            machine = self.links[note.server].server.machine
+            self.journal.machines[note.server] = machine
+        elif note.event == RunEvent.SERVER_WRONG:
+            # It may be found out by its probe before it joins, or end before a resume.
+            if note.server not in self.journal.machines:
+                machine = self.links[note.server].server.machine
+                self.journal.machines[note.server] = machine
+            self.journal.banned[self.journal.machines[note.server]] = note.server
 
     def _set_alarm(self) -> None:
         wanted = self.dispatch.next_time()
@@ -208,6 +227,13 @@ class Optimizer(Node[events.Event]):
         rows = [row[1] for row in self.journal.counted]
         if rows and np.isin(counted.trials, np.concatenate(rows)).any():
             self.world.fail("a trial was counted twice")
+        if (
+            counted.server
+            and (machine := self.links[counted.server].server.machine)
+            in self.journal.banned
+        ):
+            was = self.journal.banned[machine]
+            self.world.fail(f"{counted.server} was counted for, banned as {was}")
         load, trials = self.workload, counted.trials
         row = (
             load.fitness[trials].copy(),
@@ -290,6 +316,18 @@ class Optimizer(Node[events.Event]):
         for server in servers:
             if server.batches and server.phase not in (Phase.LEASED, Phase.LEAVING):
                 self.world.fail(f"{server.id} has batches")
+
+    def _check_second(self, ask: events.Ask) -> None:
+        """Check that no outcome is verified by the machine that it is of."""
+        if not isinstance(ask.message, messages.Evaluate):
+            return
+        batch = self.dispatch.servers.by_id[ask.server].batches[ask.message.batch]
+        if not batch.check:
+            return
+        machine = self.links[ask.server].server.machine
+        for source in set(self.workload.source[batch.rest()]) - {""}:
+            if self.journal.machines[source] == machine:
+                self.world.fail(f"{ask.server} verifies {source}, of its own machine")
 
     def _check_pairs(self) -> None:
         """Check that a trial that was started twice is awaited from two servers."""

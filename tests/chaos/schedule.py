@@ -1,6 +1,7 @@
 """Play one seeded schedule of programs and faults, and check what must hold at the end."""
 
 import itertools
+from functools import partial
 from typing import NamedTuple
 
 from zswarm.errors import ZswarmError
@@ -57,14 +58,26 @@ class Lab:
         for _ in range(draw.randint(1 if self.liar else 0, 3)):
             self.world.at(draw.choice([0.0, 5.0]), self.add_server)
         if self.liar:
-            self.add_server(sound=True, lies=0.3)
+            self.add_liars()
         for run in ["run-1", "run-2", "run-3"][: draw.randint(1, 3)]:
             self._add_run(run)
 
-    def add_server(self, *, sound: bool = False, lies: float = 0.0) -> Server:
+    def add_liars(self) -> None:
+        """Start the servers of one machine, which tell the same lies."""
+        for _ in range(self.world.random.choice([1, 2, 3])):
+            self.add_server(sound=True, lies=0.3, machine="liar")
+
+    def add_server(
+        self, *, sound: bool = False, lies: float = 0.0, machine: str = ""
+    ) -> Server:
         """Start a server."""
         server = Server(
-            self.world, next(self._numbers), self._deaths, sound=sound, lies=lies
+            self.world,
+            next(self._numbers),
+            self._deaths,
+            sound=sound,
+            lies=lies,
+            machine=machine,
         )
         self.servers.append(server)
         for optimizer in self.optimizers:
@@ -127,7 +140,7 @@ class Lab:
                     world.at(lasts_s, lambda link=link: link.set("up"))
             case "crash":
                 server.end()
-                world.at(world.random.uniform(0.1, 5.0), self.add_server)
+                self._start_again(server)
             case "drain" if not server.slots.draining:
                 server.drain()
             case "worker":
@@ -136,6 +149,13 @@ class Lab:
                 self._freeze(server, list(server.links.values()), lasts_s)
             case "jump":
                 server.offset += world.random.choice([1.0, 30.0, 3600.0])
+
+    def _start_again(self, server: Server) -> None:
+        """Start another server where one crashed: a liar's machine goes on lying."""
+        again = self.add_server
+        if server.lies:
+            again = partial(again, sound=True, lies=server.lies, machine=server.machine)
+        self.world.at(self.world.random.uniform(0.1, 5.0), again)
 
     def _kill_worker(self, server: Server) -> None:
         worker = self.world.random.choice(server.workers)

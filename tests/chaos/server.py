@@ -31,6 +31,7 @@ class Server(Node[events.Event]):
         *,
         sound: bool,
         lies: float,
+        machine: str = "",
     ) -> None:
         super().__init__(world)
         self.links: dict[str, Link] = {}  # by optimizer
@@ -40,6 +41,7 @@ class Server(Node[events.Event]):
         # Share of the trials with other numbers; the probe is never among them.
         self.lies = lies
         self.id = f"ss-{number}{WRONG if self.wrong else LIAR if lies else ''}"
+        self.machine = machine or self.id  # of several servers, perhaps
         self.broken = not sound and world.random.random() < 0.05  # cannot be prepared
         # Every third trial ends its process.
         self.faulty = not sound and world.random.random() < 0.05

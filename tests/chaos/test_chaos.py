@@ -12,9 +12,11 @@ from zswarm.ot.cluster.bans import Bans
 from zswarm.ot.cluster.batches import Batches
 from zswarm.ot.cluster.dispatch import Dispatch
 from zswarm.ot.cluster.events import Answered, Counted
+from zswarm.ot.cluster.machines import Machines
 from zswarm.ot.cluster.queue import QueuedTrials
 from zswarm.ot.cluster.remote_server import SentBatch
 from zswarm.ot.cluster.second_starts import SecondStarts
+from zswarm.ot.cluster.servers import Servers
 from zswarm.protocol.messages import Outcomes
 from zswarm.ss.slots.reply_cache import ReplyCache
 
@@ -178,6 +180,28 @@ def a_copy_is_of_another_trial(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Batches, "ask", asks)
 
 
+def a_machine_is_each_of_its_ids(patch: pytest.MonkeyPatch) -> None:
+    """Take the servers of a machine for as many machines."""
+    offered = Servers._offered
+    patch.setattr(
+        Servers,
+        "_offered",
+        lambda self, server, offer, _: offered(self, server, offer, server.id),
+    )
+
+
+def a_server_verifies_its_machine(patch: pytest.MonkeyPatch) -> None:
+    """Let a server verify what another server of its machine counted."""
+    patch.setattr(Machines, "of", lambda _self, server: server)
+
+
+def a_ban_ends_with_the_program(patch: pytest.MonkeyPatch) -> None:
+    """Use a machine again that an earlier program of the run banned."""
+    patch.setattr(
+        Machines, "after", lambda known: Machines(_by_server=dict(known.machines))
+    )
+
+
 PLANTED: list[Callable[[pytest.MonkeyPatch], None]] = [
     no_dedupe,
     a_lease_is_never_freed,
@@ -190,6 +214,9 @@ PLANTED: list[Callable[[pytest.MonkeyPatch], None]] = [
     a_lost_copy_is_sent_again,
     a_failed_copy_is_sent_again,
     a_copy_is_of_another_trial,
+    a_machine_is_each_of_its_ids,
+    a_server_verifies_its_machine,
+    a_ban_ends_with_the_program,
 ]
 
 

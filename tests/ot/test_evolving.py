@@ -5,6 +5,7 @@ from collections.abc import Generator, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -18,6 +19,7 @@ from zswarm.ot.cluster.events import Counted
 from zswarm.ot.evolution import Requests
 from zswarm.ot.generation import Assessment
 from zswarm.ot.logger import Generation, Logger, Result
+from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.optimizers.cmaes import CMAES
 from zswarm.ot.optimizers.nnga import NNGA, NNGASettings
 from zswarm.ot.optimizers.optimizer import Told
@@ -339,3 +341,34 @@ def test_a_nonfinite_mean_becomes_the_canonical_nan(metrics: list[float]) -> Non
     assessment.workload.metrics[:] = 0.5
     assessment.workload.metrics[2:, 1] = metrics
     assert assessment.measures(["rounds"]).tobytes() == np.array([0.5, np.nan]).tobytes()
+
+
+def test_a_verdict_on_the_probe_is_recorded_at_once_and_known_to_a_resume(
+    tmp_path: Path,
+) -> None:
+    """Until the code that computes is another one."""
+    loaded = experiment.load(experiment.find("stadium"), ["generations=2"])
+    complete = experiment.complete(loaded, "test")
+    verdict = Note(RunEvent.PROBE_ARBITRATED, text=b"12345678".hex())
+
+    class Arbitrated(Genes):
+        standing = msgspec.structs.replace(Genes.standing, probe=b"12345678")
+
+        def play(self, _workload: Workload) -> Iterator[Any]:
+            yield verdict
+            raise Stopped("in the first generation")
+
+    def asked(record: Record, servers: FakeConnection) -> Any:
+        with record, pytest.raises(Stopped):
+            result(
+                run.evolve(build(complete), record, servers, Logger(), threading.Event())  # type: ignore[arg-type]
+            )
+        return servers.asked["known"].arbitrated, servers.asked["probe"]
+
+    record = Record.create(tmp_path, complete, "0" * 32, ["escaped", "rounds"])
+    assert asked(record, Arbitrated()) == (b"", b"")
+    again = Record.open(record.folder)[0]
+    assert asked(again, Arbitrated()) == (b"12345678", b"12345678")
+    other = Record.open(record.folder)[0]
+    other.set_meta("arbitrated_by", "1" * 32)
+    assert asked(other, Arbitrated()) == (b"", b"12345678")

@@ -88,7 +88,7 @@ class _Check:
         self.trials = int(experiment["problem"].get("trials", 1))
         self.meta = dict(database.execute("SELECT key, value FROM meta"))
         self.claim(
-            self.meta.get("schema_version") == 5,
+            self.meta.get("schema_version") == 6,
             f"schema {self.meta.get('schema_version')}",
         )
         self.generations = database.execute(
@@ -129,6 +129,11 @@ class _Check:
         self.events = database.execute(
             "SELECT generation, event, server, count, at FROM events ORDER BY rowid"
         ).fetchall()
+        self.machines = dict(
+            database.execute(
+                "SELECT server, machine FROM events WHERE event = 'server_joined'"
+            )
+        )
         self.optimizer = database.execute(
             "SELECT DISTINCT generation FROM optimizer"
         ).fetchall()
@@ -166,10 +171,19 @@ class _Check:
         joined = {
             server for _, event, server, _, _ in self.events if event == "server_joined"
         }
+        # All servers of the machine of a server that computed wrong did so.
         wrong = {
-            (server, generation)
+            (of_machine, generation)
             for generation, event, server, _, _ in self.events
             if event == "server_wrong"
+            for of_machine in (
+                server,
+                *(
+                    other
+                    for other, machine in self.machines.items()
+                    if machine and machine == self.machines.get(server)
+                ),
+            )
         }
         last = 0
         for (

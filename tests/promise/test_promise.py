@@ -198,10 +198,13 @@ def change_a_metric(database: sqlite3.Connection) -> None:
         ("UPDATE outcomes SET server = 'stranger-01234567' WHERE id = 3", "never joined"),
         ("UPDATE outcomes SET server = '' WHERE id = 3", "of no server, and no fault"),
         ("UPDATE meta SET value = -1 WHERE key = 'epoch'", "epoch -1"),
-        ("INSERT INTO events VALUES (1.0, 0, 'requeued', '', '', -1)", "event requeued"),
         (
-            "INSERT INTO events SELECT at, 2, 'server_wrong', server, '', 0 FROM outcomes WHERE id "
-            "= 3",
+            "INSERT INTO events VALUES (1.0, 0, 'requeued', '', '', -1, '', 0)",
+            "event requeued",
+        ),
+        (
+            "INSERT INTO events SELECT at, 2, 'server_wrong', server, '', 0, '', 0 FROM outcomes "
+            "WHERE id = 3",
             "counted as if it had not",
         ),
     ],

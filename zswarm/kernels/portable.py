@@ -9,6 +9,8 @@ functions from this file only.
 # mypy: disable-error-code=no-untyped-def
 # because numba infers the types of kernels.
 
+from typing import Any
+
 import numpy as np
 
 from zswarm.kernels.jit import inline
@@ -161,21 +163,41 @@ def power_of_two(k):
 
 
 def log(x: np.ndarray) -> np.ndarray:
-    """Return the natural logarithms of an array of positive float64 numbers.
-
-    It computes with numpy, because no kernel calls it.
-    """
+    """Return the natural logarithms of an array of positive float64 numbers."""
     mantissa, k = np.frexp(x)  # exact, mantissa in [1/2, 1)
     small = mantissa < ROOT_HALF
-    f = np.where(small, 2.0 * mantissa, mantissa) - 1.0
-    k = (k - small).astype(np.float64)
+    mantissa = np.where(small, 2.0 * mantissa, mantissa)
+    found: np.ndarray = log_of_parts(mantissa - 1.0, (k - small).astype(np.float64))
+    return found
+
+
+def log_of_parts(f: Any, k: Any) -> Any:
+    """Return the logarithm of (1 + f) 2^k, with 1 + f near 1."""
     s = f / (2.0 + f)
     z = s * s
     w = z * z
     r = w * (L2 + w * (L4 + w * L6)) + z * (L1 + w * (L3 + w * (L5 + w * L7)))
     half = 0.5 * f * f
-    y: np.ndarray = k * LN2_HIGH - ((half - (s * (half + r) + k * LN2_LOW)) - f)
-    return y
+    return k * LN2_HIGH - ((half - (s * (half + r) + k * LN2_LOW)) - f)
+
+
+compiled_log_of_parts = inline(counts=False)(
+    log_of_parts
+)  # for kernels; arrays do not need the compiler
+
+
+@inline
+def log_of(x):
+    """Return the natural logarithm of a normal positive number, float64."""
+    bits = np.float64(x).view(np.uint64)
+    exponent = np.int64(bits >> FRACTION_BITS) - (BIAS - 1)
+    fraction = bits & ((np.uint64(1) << FRACTION_BITS) - np.uint64(1))
+    half = np.uint64(BIAS - 1) << FRACTION_BITS
+    mantissa = np.uint64(fraction | half).view(np.float64)  # in [1/2, 1)
+    if mantissa < ROOT_HALF:
+        mantissa = 2.0 * mantissa
+        exponent -= 1
+    return compiled_log_of_parts(mantissa - 1.0, np.float64(exponent))
 
 
 @inline

@@ -11,11 +11,12 @@ generator: every purpose has a stream with a separate seed.
 
 import hashlib
 import struct
+from typing import Any
 
 import numpy as np
 
-from zswarm.kernels.jit import inline
-from zswarm.kernels.portable import log
+from zswarm.kernels.jit import inline, sqrt
+from zswarm.kernels.portable import log, log_of
 
 GAMMA = 0x9E3779B97F4A7C15
 MIX_1, MIX_2 = 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
@@ -170,34 +171,65 @@ class Stream:
 def _quantiles(p: np.ndarray) -> np.ndarray:
     """Return quantiles of the standard normal distribution; p is in 2^-53..1 - 2^-53."""
     q = p - 0.5
-    values: np.ndarray = q * _quotient(CENTRE, 0.180625 - q * q)
+    values: np.ndarray = q * quotient(CENTRE, 0.180625 - q * q)
     outer = np.flatnonzero(np.abs(q) > 0.425)
     r: np.ndarray = np.sqrt(-log(0.5 - np.abs(q[outer])))
-    tails = np.where(r <= 5.0, _quotient(TAIL, r - 1.6), _quotient(FAR_TAIL, r - 5.0))
+    tails = np.where(r <= 5.0, quotient(TAIL, r - 1.6), quotient(FAR_TAIL, r - 5.0))
     values[outer] = np.where(q[outer] < 0.0, -tails, tails)
     return values
 
 
-def _quotient(
-    polynomials: tuple[tuple[float, ...], tuple[float, ...]], x: np.ndarray
-) -> np.ndarray:
-    """Return the quotient of two polynomials, evaluated at x."""
-    above, below = (np.full_like(x, coefficients[-1]) for coefficients in polynomials)
-    for a, b in zip(polynomials[0][-2::-1], polynomials[1][-2::-1], strict=True):
-        above, below = above * x + a, below * x + b
-    quotient: np.ndarray = above / below
-    return quotient
+def quotient(polynomials: Any, x: Any) -> Any:
+    """Return the quotient of two polynomials, evaluated at x, also of arrays."""
+    a, b = polynomials
+    above = ((a[7] * x + a[6]) * x + a[5]) * x + a[4]
+    above = (((above * x + a[3]) * x + a[2]) * x + a[1]) * x + a[0]
+    below = ((b[7] * x + b[6]) * x + b[5]) * x + b[4]
+    below = (((below * x + b[3]) * x + b[2]) * x + b[1]) * x + b[0]
+    return above / below
+
+
+compiled_quotient = inline(counts=False)(
+    quotient
+)  # for kernels; arrays do not need the compiler
 
 
 @inline
-def draw_integer(state, bound):
-    """Draw as ``Stream.integer``; ``state`` is (1,) uint64, initially the seed of the stream."""
+def draw_word(state):
+    """Draw as ``Stream.words``; ``state`` is (1,) uint64, initially the seed of the stream."""
     state[0] += np.uint64(GAMMA)
     word = state[0]
     word = (word ^ (word >> np.uint64(30))) * np.uint64(MIX_1)
     word = (word ^ (word >> np.uint64(27))) * np.uint64(MIX_2)
-    word = word ^ (word >> np.uint64(31))
+    return word ^ (word >> np.uint64(31))
+
+
+@inline
+def draw_integer(state, bound):
+    """Draw as ``Stream.integer``."""
+    word = draw_word(state)
     return np.int64(((word >> np.uint64(32)) * np.uint64(bound)) >> np.uint64(32))
+
+
+@inline
+def draw_uniform(state):
+    """Draw as ``Stream.uniform`` from 0 to 1."""
+    return np.float64(draw_word(state) >> np.uint64(11)) * UNIT
+
+
+@inline
+def draw_normal(state):
+    """Draw as ``Stream.normal`` with mean 0 and deviation 1."""
+    p = (np.float64(draw_word(state) >> np.uint64(12)) + 0.5) * HALF_UNIT
+    q = p - 0.5
+    if abs(q) <= 0.425:
+        return q * compiled_quotient(CENTRE, 0.180625 - q * q)
+    r = sqrt(-log_of(0.5 - abs(q)))
+    if r <= 5.0:
+        tail = compiled_quotient(TAIL, r - 1.6)
+    else:
+        tail = compiled_quotient(FAR_TAIL, r - 5.0)
+    return -tail if q < 0.0 else tail
 
 
 # ---- Java's ``Random``, a 48-bit linear congruential generator, which FREVO's problems use ----

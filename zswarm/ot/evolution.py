@@ -3,20 +3,21 @@
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 
 from msgspec import structs
 
 from zswarm import experiment
 from zswarm.config.sections import StudyConfig
-from zswarm.errors import Stopped
+from zswarm.errors import ConfigError, Stopped
 from zswarm.experiment import Experiment
 from zswarm.ot import identity, run
 from zswarm.ot.build import Parts, build
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.shell import Cluster
 from zswarm.ot.logger import Generation, Logger, Result, Started
+from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.record import control_file as control
 from zswarm.ot.record import epochs
 from zswarm.ot.record.folder import load_experiment
@@ -24,6 +25,7 @@ from zswarm.ot.record.reader import Run
 from zswarm.ot.record.results import finished_result
 from zswarm.ot.record.writer import Record
 from zswarm.plugins.version_hash import version_hash
+from zswarm.system.text import clean
 
 Generations = Generator[Generation, None, Result]
 CHANGED = "results may differ from here on"
@@ -151,11 +153,17 @@ def start(
 
 
 @contextlib.contextmanager
-def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evolution]:
+def resume(
+    folder: Path, connection: Connection, logger: Logger, trusted: Sequence[str] = ()
+) -> Iterator[Evolution]:
     """Resume a run from the last thing it recorded; of a finished one, only return the result.
 
+    Args:
+        trusted: machines that were banned, and are used again.
+
     Raises:
-        ConfigError: there is none, it is damaged or in use, or its experiment was changed.
+        ConfigError: there is none, it is damaged or in use, its experiment was changed, or a
+            machine is not banned.
     """
     loaded = load_experiment(folder)
     if (result := finished_result(folder, loaded)) is not None:
@@ -171,6 +179,7 @@ def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evo
     record, complete = Record.open(folder)
     with record:
         control.forget(folder)
+        _trust(record, trusted)
         parts = build(complete)
         if not parts.optimizer.portable and (machine := record.machine_changed()):
             logger.on_say(f"this run was made with {machine}; {CHANGED}")
@@ -185,6 +194,19 @@ def resume(folder: Path, connection: Connection, logger: Logger) -> Iterator[Evo
             _evolution(parts, record, connection, logger)
         ) as evolution:
             yield evolution
+
+
+def _trust(record: Record, machines: Sequence[str]) -> None:
+    """Record that machines which were banned are used again."""
+    banned = record.known().banned
+    for machine in machines:
+        if machine not in banned:
+            names = ", ".join(clean(name) for name in sorted(banned)) or "none"
+            raise ConfigError(
+                f"{record.folder}: {clean(machine)!r} is not banned; banned machines: {names}"
+            )
+        text = f"{clean(machine)} is used again, as requested"
+        record.note(Note(RunEvent.SERVER_TRUSTED, banned[machine], text, 0, machine))
 
 
 def _code(complete: Experiment) -> str:

@@ -52,6 +52,7 @@ class Result(NamedTuple):
     doubtful: int  # trials of a server that was later proved to compute wrong
     # Best is a score of the last generation, and compares only within it.
     relative: bool = False
+    history_version: int = 0  # of the history hash: others do not compare
     champion: HeldOut | None = None  # fitness on held-out seeds, if it was assessed
     # 32 hex digits: of the history and the assessment after it.
     assessment_hash: str = ""

@@ -35,9 +35,14 @@ class RunEvent(StrEnum):
     SERVER_WRONG = (
         "server_wrong",
         "error",
-        "{server} is banned: {text}; what it did in this generation, or round of games, is "
-        "evaluated again, and marked as doubtful in earlier ones",
+        "{server} is banned: {text}; what its machine did in this generation, or round of games, "
+        "is evaluated again, and marked as doubtful in earlier ones",
     )
+    SERVER_BANNED = "server_banned", "warning", "{server} is not used: {text}"
+    # By the user, who trusts a machine again that was banned.
+    SERVER_TRUSTED = "server_trusted", "warning", "{text}"
+    # The text is the digest of the trials that this machine played.
+    PROBE_ARBITRATED = "probe_arbitrated"
     SERVER_SILENT = (
         "server_silent",
         "warning",
@@ -97,6 +102,7 @@ class Note(msgspec.Struct, frozen=True):
     server: str = ""
     text: str = ""
     count: int = 0
+    machine: str = ""  # of the server, where that matters
 
 
 def words(note: Note) -> str:

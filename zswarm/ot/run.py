@@ -12,17 +12,20 @@ from zswarm.ot.assessment.contest import Contest
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.events import Counted, Retracted
+from zswarm.ot.cluster.machines import Known
 from zswarm.ot.cluster.shell import Cluster, Item
 from zswarm.ot.generation import Assessment
 from zswarm.ot.identity import here
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.notes import Note, RunEvent, words
+from zswarm.ot.record.history_hash import VERSION as HISTORY_VERSION
 from zswarm.ot.record.packing import PackedState
 from zswarm.ot.record.schema import ASSESSMENT
 from zswarm.ot.record.writer import Record
 from zswarm.ot.retelling import retell, timed
 from zswarm.ot.seen_seeds import SeenSeeds
 from zswarm.ot.workload import Workload
+from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import messages
 
 
@@ -55,6 +58,7 @@ def evolve(
         epoch=record.meta("epoch"),
         slots=problem.trials_at_once(optimizer.candidates) or messages.MAX_SLOTS,
         probe=notebook.probe,
+        known=notebook.known(),
         say=logger.on_say,
         stop=stop,
     )
@@ -83,8 +87,6 @@ def evolve(
             if generation + 1 < last:
                 record.begin(generation + 1, assessment.workload)
         notebook.end(cluster, obey)
-        for late in cluster.rest():
-            notebook.take(late)
     return notebook.result(time.monotonic() - begin)
 
 
@@ -99,6 +101,17 @@ class _Notebook:
         self._hash = ""  # of the assessment
         self.run_id: str = record.meta("run_id")
         self.probe: bytes = record.meta("probe") or b""
+
+    def known(self) -> Known:
+        """Return what earlier programs of the run found out about machines.
+
+        Their verdict on the probe counts while the same code computes.
+        """
+        known, record = self._record.known(), self._record
+        digest = record.meta("arbitrated")
+        if isinstance(digest, bytes) and record.meta("arbitrated_by") == self._code():
+            return structs.replace(known, arbitrated=digest)
+        return known
 
     def resume(self, connection: Connection) -> int:
         """Restore the optimizer, log how the run begins, and return its first generation."""
@@ -168,11 +181,24 @@ class _Notebook:
                 self._record.retract(item.server)
             case Note():
                 self._record.note(item)
+                if item.event == RunEvent.PROBE_ARBITRATED:
+                    self._arbitrated(bytes.fromhex(item.text))
                 self._logger.on_event(item)
                 if line := words(item):
                     self._logger.on_say(line)
             case None:
                 self._record.flush()
+
+    def _arbitrated(self, digest: bytes) -> None:
+        """Record what this machine computed of the probe: a resume does not decide again."""
+        self.probe = digest
+        self._record.set_meta("probe", digest)
+        self._record.set_meta("arbitrated", digest)
+        self._record.set_meta("arbitrated_by", self._code())
+
+    def _code(self) -> str:
+        complete = self._problem.experiment
+        return version_hash(complete.problem.simulator, complete.representation.kind)
 
     def tell(self, ended: Assessment) -> PackedState:
         """Tell the optimizer a generation, and return its state before the next ask."""
@@ -219,10 +245,12 @@ class _Notebook:
         return generation
 
     def end(self, cluster: Cluster, obey: Callable[[Cluster], None]) -> None:
-        """Assess the candidates of the run, if there is something to assess."""
+        """Assess the candidates of the run, if there is something to assess; take what is late."""
         if (contest := Contest.of_run(self._problem, self._record)) is not None:
             self._assess(contest, cluster, obey)
         self._record.end()
+        for late in cluster.rest():
+            self.take(late)
 
     def _assess(
         self, contest: Contest, cluster: Cluster, obey: Callable[[Cluster], None]
@@ -261,6 +289,7 @@ class _Notebook:
             relative=self._optimizer.relative,
             champion=self._held_out,
             assessment_hash=self._hash,
+            history_version=HISTORY_VERSION,
             **record.counts(),
         )
 

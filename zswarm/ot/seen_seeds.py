@@ -9,7 +9,7 @@ from zswarm.ot.record.history_hash import digest
 from zswarm.ot.record.resuming import Recorded
 
 
-class Known(NamedTuple):
+class GenomeMeans(NamedTuple):
     """What is known of a genome: means over generations, each with as many trials."""
 
     generations: int
@@ -21,7 +21,7 @@ class SeenSeeds:
     """Means of the genomes of the last generation, over it and those right before it."""
 
     def __init__(self) -> None:
-        self._seen: dict[bytes, Known] = {}
+        self._seen: dict[bytes, GenomeMeans] = {}
 
     @classmethod
     def of_record(cls, record: Recorded) -> Self:
@@ -37,7 +37,7 @@ class SeenSeeds:
                 counts[one] += 1
             generation -= 1
         for one, fitness, measures in record.last_told():
-            found._seen[one] = Known(counts[one], fitness, measures)
+            found._seen[one] = GenomeMeans(counts[one], fitness, measures)
         return found
 
     def merge(
@@ -48,7 +48,7 @@ class SeenSeeds:
         A genome that was evaluated in the last generation, too, has been on more seeds than this
         generation's; one that failed once, has failed.
         """
-        seen: dict[bytes, Known] = {}
+        seen: dict[bytes, GenomeMeans] = {}
         means, of_measures = fitness.copy(), measures.copy()
         for row, genome in enumerate(genomes):
             key = digest(genome)
@@ -58,6 +58,6 @@ class SeenSeeds:
                 means[row] = (before.fitness * count + fitness[row]) / (count + 1)
                 of_measures[row] = (before.measures * count + measures[row]) / (count + 1)
             means[row] += 0.0  # SQLite drops the sign of -0.0
-            seen[key] = Known(count + 1, float(means[row]), of_measures[row])
+            seen[key] = GenomeMeans(count + 1, float(means[row]), of_measures[row])
         self._seen = seen
         return means, of_measures

@@ -26,6 +26,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
         "arena": "zswarm.sims.arena:Arena",
         "box-pushing": "zswarm.sims.box_pushing:BoxPushing",
         "emergency-exit": "zswarm.sims.emergency_exit:EmergencyExit",
+        "epuck": "zswarm.sims.epuck.simulator:Epuck",
         "food-or-poison": "zswarm.sims.food_or_poison:FoodOrPoison",
         "foraging-physical": "zswarm.sims.foraging_physical:ForagingPhysical",
         "gymnasium": "zswarm.sims.adapters.gymnasium:Gymnasium",

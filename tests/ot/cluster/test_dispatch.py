@@ -94,7 +94,7 @@ def test_a_server_that_prepares_is_renewed_until_all_slots_are_ready() -> None:
     asks = optimizer.answer(ask, lease("a", 1, slots=2))
     assert verbs(asks) == [("a", "renew"), ("a", "evaluate"), ("a", "evaluate")]
     assert asks[0].message.known_ready == 1
-    assert optimizer.notes("server_joined") == [Note("server_joined", "a", "", 1)]
+    assert optimizer.notes("server_joined") == [Note("server_joined", "a", "", 1, "a")]
     assert verbs(optimizer.answer(asks[0], lease("a", 2))) == [("a", "evaluate")], (
         "two trials more"
     )

@@ -5,8 +5,8 @@ import numpy as np
 from zswarm.ot.cluster.queue import QueuedTrials, TrialQueue
 from zswarm.ot.cluster.remote_server import RemoteServer, SentBatch
 
-BOTH = ["a", "b"]
-A, B = RemoteServer("a"), RemoteServer("b")
+A, B, C = RemoteServer("a"), RemoteServer("b"), RemoteServer("c")
+BOTH = {"a": A, "b": B}
 
 
 def batch(server: RemoteServer, number: int) -> SentBatch:
@@ -28,10 +28,13 @@ def piece(
 
 
 def taken(
-    waiting: TrialQueue, server: str, size: int = 100, serving: list[str] = BOTH
+    waiting: TrialQueue,
+    server: str,
+    size: int = 100,
+    ready: dict[str, RemoteServer] = BOTH,
 ) -> list[int] | None:
     """Return the trials that a server gets."""
-    found = waiting.take(server, size, serving)
+    found = waiting.take(server, size, ready)
     return None if found is None else list(found.trials)
 
 
@@ -59,8 +62,8 @@ def test_a_failed_trial_waits_for_another_server_without_delaying_others() -> No
 
 def test_a_trial_that_failed_on_all_serving_servers_may_go_anywhere() -> None:
     waiting = line(piece(1, avoid="ab"))
-    assert taken(waiting, "a", serving=["a", "b", "c"]) is None
-    assert taken(waiting, "a", serving=["a"]) == [1]
+    assert taken(waiting, "a", ready={**BOTH, "c": C}) is None
+    assert taken(waiting, "a", ready={"a": A}) == [1]
 
 
 def test_a_part_of_a_chunk_avoids_the_same_servers() -> None:

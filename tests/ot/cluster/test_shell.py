@@ -272,3 +272,82 @@ def test_a_query_that_zenoh_panics_at_is_noted_and_asked_again() -> None:
     asking.work(1)
     assert asking.batches
     asking.close()
+
+
+def test_300_tokens_of_a_name_make_sixteen_servers_and_one_note() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    opened, _ = session.open_server([endpoint], Reach((), multicast=False))
+    posted: list[Event | Note] = []
+    watching = links.Links(
+        KEY,
+        Reach([endpoint], multicast=False),
+        None,
+        post=posted.append,
+        answered=posted.append,
+        failed=posted.append,
+        slots=lambda _: 1,
+    )
+    try:
+        tokens = [
+            opened.liveliness().declare_token(keys.alive("default", f"lab-02-{at:08x}"))
+            for at in range(300)
+        ]
+        last = opened.liveliness().declare_token(keys.alive("default", "lab-99-0"))
+        watching.open("")
+        wait_until(lambda: Seen("lab-99-0") in posted, "all tokens are seen")
+        seen = [item for item in posted if isinstance(item, Seen)]
+        (note,) = [item for item in posted if isinstance(item, Note)]
+        assert len(seen) == 16 + 1
+        assert len(watching.home) == 16 + 1
+        assert "16 servers named lab-02 are used already" in note.text
+        for token in (*tokens, last):
+            token.undeclare()
+        wait_until(lambda: not watching._announced._by_name, "no token is left")
+    finally:
+        watching.close()
+        session.close(opened)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "127.0.0.2"])
+def test_a_server_that_answers_is_known_by_the_address_of_its_link(host: str) -> None:
+    endpoint = f"tcp/{host}:{free_port()}"
+    opened, _ = session.open_server([endpoint], Reach((), multicast=False))
+    posted: list[Event | Note] = []
+    watching = links.Links(
+        KEY,
+        Reach([endpoint], multicast=False),
+        None,
+        post=posted.append,
+        answered=posted.append,
+        failed=posted.append,
+        slots=lambda _: 1,
+    )
+
+    def answer(query: zenoh.Query) -> None:
+        with query:
+            query.reply(query.key_expr, codec.encode(OFFER))
+
+    try:
+        key = keys.offer("default", "lab-02-0123abcd")
+        opened.declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
+        token = opened.liveliness().declare_token(
+            keys.alive("default", "lab-02-0123abcd")
+        )
+        watching.open("")
+        wait_until(lambda: Seen("lab-02-0123abcd") in posted, "the server is seen")
+
+        def machines() -> list[str]:
+            answers = [item for item in posted if isinstance(item, Answered)]
+            return [item.machine for item in answers if item.reply is not None]
+
+        def asked() -> bool:
+            ask = Ask(len(posted), "lab-02-0123abcd", terms().requirements)
+            watching.ask(ask, may_block=True)
+            return bool(machines())
+
+        wait_until(asked, "it answered")
+        assert machines()[0] == host
+        token.undeclare()
+    finally:
+        watching.close()
+        session.close(opened)

@@ -25,7 +25,8 @@ from zswarm.ot.cluster.events import (
     Seen,
     Work,
 )
-from zswarm.ot.cluster.remote_server import BLAMED, Phase
+from zswarm.ot.cluster.machines import BLAMED
+from zswarm.ot.cluster.remote_server import Phase
 from zswarm.ot.cluster.servers import BACK_OFF_S, PAUSE_S, RETRY_S
 from zswarm.ot.workload import Workload
 from zswarm.protocol.messages import Refused, verb
@@ -100,19 +101,27 @@ def test_without_a_second_server_a_workload_ends_unverified_with_one_note() -> N
         assert len(optimizer.notes("unverified")) == said
 
 
-@pytest.mark.parametrize("how", ["empty", "busy", "fault"])
+@pytest.mark.parametrize("how", ["empty", "fault"])
 def test_an_impossible_check_moves_to_another_server_or_is_dropped(how: str) -> None:
     optimizer, check = verified_once()
     if how == "empty":
         optimizer.feed(Gone("b"))
         optimizer.answer(check, None)
-    elif how == "busy":
-        optimizer.answer(check, Refused(code="busy", reason=""))
     else:
         optimizer.answer(check, fault(check))
     assert Complete() in optimizer.commands
     assert optimizer.dispatch.batches.checks.verified == 0
     assert optimizer.counted == [0]
+
+
+def test_a_check_waits_for_the_only_second_server_if_that_has_no_room_now() -> None:
+    optimizer, check = verified_once()
+    optimizer.answer(check, Refused(code="busy", reason=""))
+    assert Complete() not in optimizer.commands
+    (again,) = pending(optimizer.wait(PAUSE_S), "b")
+    optimizer.answer(again, outcomes(again, 7.0))
+    assert Complete() in optimizer.commands
+    assert optimizer.dispatch.batches.checks.verified == 1
 
 
 def test_a_check_moves_to_the_third_server_when_the_second_is_gone() -> None:
@@ -369,7 +378,7 @@ def test_a_trial_that_fails_everywhere_blames_no_server() -> None:
 def test_a_server_that_counted_many_trials_is_allowed_a_few_faults() -> None:
     optimizer = Optimizer()
     optimizer.join("a", "b")
-    optimizer.dispatch.servers.by_id["a"].counted = 10_000
+    optimizer.dispatch.servers.machines.counted["a"] = 10_000
     for _ in range(2 * BLAMED):
         (first,) = optimizer.work(1)
         assert first.server == "a"

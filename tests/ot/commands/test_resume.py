@@ -79,3 +79,24 @@ def test_going_back_further_than_there_are_generations_is_refused(tmp_path: Path
         )
     assert (folder / "run.sqlite").read_bytes() == recorded
     assert sorted(path.suffix for path in folder.iterdir() if "before" in path.name) == []
+
+
+def test_a_machine_that_is_not_banned_cannot_be_trusted_again(tmp_path: Path) -> None:
+    folder = written(tmp_path, [1, 2.5])
+    file = folder / "experiment.toml"
+    file.write_text(re.sub("(?m)^generations = 2$", "generations = 3", file.read_text()))
+    arguments = ["resume", str(folder), "--trust", "lab-02", "--servers", "1"]
+    with pytest.raises(
+        ConfigError, match="'lab-02' is not banned; banned machines: none"
+    ):
+        CliRunner().invoke(command, arguments, catch_exceptions=False)
+
+
+def test_no_machine_is_trusted_again_by_a_whole_study(tmp_path: Path) -> None:
+    folder = tmp_path / "study"
+    folder.mkdir()
+    (folder / "experiment.toml").write_text("[study]\nrepeat = 2\n")
+    with pytest.raises(ConfigError, match="--trust takes the folder of a run"):
+        CliRunner().invoke(
+            command, ["resume", str(folder), "--trust", "x"], catch_exceptions=False
+        )

@@ -13,6 +13,7 @@ COLUMNS = {
     "generations": ["best", "mean", "evaluations", "statistics", "history", "outcomes"],
     "candidates": ["genome", "fitness", "measures", "digest"],
     "outcomes": ["fitness", "metrics", "trials", "asked", "server", "doubtful", "digest"],
+    "events": ["event", "server", "text", "count", "machine", "generation", "digest"],
     "optimizer": ["state", "generation", "digest"],
 }
 KEYS = {
@@ -20,6 +21,7 @@ KEYS = {
     "generations": "generation",
     "candidates": "generation, candidate",
     "outcomes": "id",
+    "events": "rowid",
     "optimizer": "part, piece",
 }
 

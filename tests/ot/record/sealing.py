@@ -14,7 +14,7 @@ def reseal(folder: Path) -> None:
     """Write all digests of a record again; tables that are missing are left out."""
     with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as database, database:
         database.text_factory = lambda raw: raw.decode(errors="replace")
-        for step in (_outcomes, _generations, _state, _meta):
+        for step in (_outcomes, _generations, _events, _state, _meta):
             with contextlib.suppress(sqlite3.Error):
                 step(database)
 
@@ -27,6 +27,13 @@ def _outcomes(database: sqlite3.Connection) -> None:
         database.execute(
             "UPDATE outcomes SET digest = ? WHERE id = ?",
             (~written if doubtful else written, row[0]),
+        )
+
+
+def _events(database: sqlite3.Connection) -> None:
+    for row in database.execute(f"SELECT {digests.EVENT} FROM events").fetchall():  # noqa: S608
+        database.execute(
+            "UPDATE events SET digest = ? WHERE rowid = ?", (digests.of_row(*row), row[0])
         )
 
 

@@ -180,7 +180,7 @@ def test_a_run_that_goes_back_ends_with_the_same_history(
     """The former record is kept; the optimizer's state is made again from the candidates."""
     folder = copied(runs.finished, tmp_path / "run")
     former = (folder / "run.sqlite").read_bytes()
-    aside = go_back(folder, generations)
+    aside = go_back(folder, generations).path
     assert aside.read_bytes() == former
     assert Run(folder).generations() == generations
     assert not Run(folder).finished

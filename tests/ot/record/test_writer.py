@@ -315,7 +315,7 @@ def test_another_schema_is_refused_with_the_zswarm_that_is_needed(
     record.set_meta("schema_version", schema)
     record.set_meta("zswarm", "7.0")
     record.close()
-    words = rf"has schema {schema}, of zswarm 7\.0; .* reads schema 5: use the zswarm that made"
+    words = rf"has schema {schema}, of zswarm 7\.0; .* reads schema 6: use the zswarm that made"
     with pytest.raises(ConfigError, match=words):
         Record.open(record.folder)
 

@@ -11,7 +11,7 @@ servers together. It asks
 
 Held slots stay. The servers that come last are released when more is held than wanted: a server
 that had no slot may grant some late. With ``verify`` a run has one slot more than trials at once,
-and no server gets all of them: a second one is to check outcomes.
+and no machine gets all of them: a second one is to check outcomes.
 """
 
 import bisect
@@ -100,11 +100,14 @@ class Allotment(msgspec.Struct, eq=False):
         room = self.room()
         if room <= 0 or not self._spare:
             return None
-        server = self._spare[0][1]
+        spare = (server for _, server in self._spare if self._most(server) > 0)
+        server = next(spare, None)
+        if server is None:
+            return None
         if self._full(server) and now < self._full_at:
             self.at = self._full_at
             return None
-        return server, min(room, server.capacity, self.terms.reserve.slots)
+        return server, min(room, self._most(server))
 
     def rounds(self, now: float) -> None:
         """End a round: ask servers without a free slot again after a while only."""
@@ -117,10 +120,17 @@ class Allotment(msgspec.Struct, eq=False):
         if room <= 0 or self._spare:
             return None
         for server in self.roster.partial.values():
-            most = min(server.capacity, self.terms.reserve.slots)
+            most = min(server.capacity, server.wanted + self._most(server))
             if server.slots == server.wanted < most:
                 return server, min(most, server.wanted + room)
         return None
+
+    def _most(self, server: RemoteServer) -> int:
+        """Return how many slots a server, besides those it has, may get."""
+        most = self.terms.reserve.slots - server.taken()
+        if self.terms.verify:
+            most = self.terms.reserve.slots - self.roster.machines[server.machine]
+        return min(server.capacity, most)
 
     def _order(self, server: RemoteServer) -> tuple[object, ...]:
         far = not is_local(server.id)

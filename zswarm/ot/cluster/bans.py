@@ -1,4 +1,4 @@
-"""Servers that compute wrong outcomes are banned; those that fail too many are backed off."""
+"""Machines that compute wrong outcomes are banned; those that fail too many are backed off."""
 
 import msgspec
 
@@ -11,7 +11,7 @@ FAULTY_S = 600.0  # before a server is asked again on which too many trials fail
 
 
 class Bans(msgspec.Struct, eq=False):
-    """Judge the servers of a run."""
+    """Judge the servers of a run, by their machines."""
 
     out: Outbox
     servers: Servers
@@ -44,21 +44,28 @@ class Bans(msgspec.Struct, eq=False):
     def arbitrate_probe(self, digest: bytes) -> None:
         """Ban the servers whose outcomes of the probe differ from this machine's."""
         self.servers.probe, self.arbitrated, self._disputed = digest, digest, False
-        for server in self.servers.by_id.values():
+        self.out.note(RunEvent.PROBE_ARBITRATED, text=digest.hex())
+        for server in list(self.servers.by_id.values()):
             if server.differs_at(digest) is not None:
                 self.ban(server, "its outcomes of the probe are wrong")
             elif server.probe and server.phase == Phase.BACKED_OFF:
                 self.servers.ask_by(server, self.out.now)
 
     def ban(self, server: RemoteServer, text: str) -> None:
-        """Never use a server again, and retract what was counted for it."""
-        if server.phase == Phase.BANNED:
+        """Never use the machine of a server again, and retract what was counted for it."""
+        machine, machines = server.machine, self.servers.machines
+        if machine in machines.banned:
             return
-        # Before the note: if the record ends between the two, a resumed run finds the server out
-        # again. The other way round it would restore what was counted for the server.
-        self.out.commands.append(Retracted(server.id))
-        self.servers.end(server, Phase.BANNED, release=True)
-        self.out.note(RunEvent.SERVER_WRONG, server.id, text)
+        machines.banned[machine] = server.id
+        of_machine = dict.fromkeys([server.id, *machines.servers(machine)])
+        here = self.servers.by_id.values()
+        of_machine |= dict.fromkeys(one.id for one in here if one.machine == machine)
+        for name in of_machine:
+            # Before the note: if the record ends between the two, a resumed run finds the machine
+            # out again. The other way round it would restore what was counted for it.
+            self.out.commands.append(Retracted(name))
+            self.servers.end(self.servers.known(name), Phase.BANNED, release=True)
+        self.out.note(RunEvent.SERVER_WRONG, server.id, text, machine=machine)
 
     def ban_wrong(self, name: str, trial: int) -> None:
         """Ban a server for its outcome of a trial; after a resume it may not be known yet."""
@@ -66,18 +73,22 @@ class Bans(msgspec.Struct, eq=False):
 
     # ---- faulty
 
-    def blame(self, name: str) -> None:
-        """Back off a server on which too many trials fail, if there is another one."""
-        server = self.servers.known(name)
-        server.blamed += 1
-        if server.phase != Phase.LEASED or not server.fails_too_much():
+    def blame(self, machine: str) -> None:
+        """Back off a machine on which too many trials fail, if there is another one."""
+        machines, ready = self.servers.machines, self.servers.roster.ready.values()
+        machines.blamed[machine] += 1
+        own = [server for server in ready if server.machine == machine]
+        if not own or len(own) == len(ready) or not machines.fails_too_much(machine):
             return
-        if self.servers.roster.ready.keys() - {name}:
-            text = f"{server.blamed} trials that failed on it did not fail elsewhere"
+        text = (
+            f"{machines.blamed[machine]} trials that failed on it did not fail elsewhere"
+        )
+        self.out.note(RunEvent.SERVER_FAULTY, own[0].id, text, machine=machine)
+        machines.blamed[machine] = machines.counted[machine] = 0
+        for server in own:
             self.servers.end(server, Phase.BACKED_OFF, release=True, again_s=FAULTY_S)
-            self.out.note(RunEvent.SERVER_FAULTY, server.id, text)
-            server.blamed, server.counted, server.faulty = 0, 0, True
-            self._faulty[name] = server
+            server.faulty = True
+            self._faulty[server.id] = server
 
     def recall_faulty(self) -> None:
         """Ask faulty servers again soon: they are better than none."""

@@ -42,7 +42,9 @@ class Batches(msgspec.Struct, eq=False):
     second: SecondStarts
     workload: Workload | None = None  # the present one
     uncounted: int = 0  # of its trials
-    blamed: list[str] = []  # servers that failed a trial, for each; the caller takes them
+    blamed: list[
+        str
+    ] = []  # machines that failed a trial, for each; the caller takes them
     _serving_changed: bool = False
     idle: IdleServers = msgspec.field(default_factory=IdleServers)
     _alone: bool = False  # the user knows that there is no second server
@@ -51,7 +53,7 @@ class Batches(msgspec.Struct, eq=False):
     @classmethod
     def of(cls, terms: Terms, out: Outbox, servers: Servers) -> Self:
         """Return the batches of a run."""
-        queue, checks = TrialQueue(), Checks(terms.verify)
+        queue, checks = TrialQueue(), Checks(terms.verify, servers.machines.of)
         schedule = Schedule(out, queue)
         return cls(terms, out, servers, checks, queue, schedule, SecondStarts(schedule))
 
@@ -67,8 +69,7 @@ class Batches(msgspec.Struct, eq=False):
         if len(trials):
             self.queue.put(QueuedTrials(trials))
         self.schedule.begin(workload, self.terms)
-        restored = np.flatnonzero(workload.source != "")  # and perhaps not verified
-        self.checks.choose(restored, workload.source[restored].tolist())
+        self.checks.restored(workload)
 
     def end(self) -> None:
         """Forget all that waits, and cancel all that is out."""
@@ -236,12 +237,13 @@ class Batches(msgspec.Struct, eq=False):
         idle_s = self.out.now - server.pace.batch_at
         if not useful and idle_s > MEASURE_ALONE_S and not self.terms.second_starts:
             useful = 1
-        queued = self.queue.take(server.id, useful, self.schedule.serving)
+        ready = self.servers.roster.ready
+        queued = self.queue.take(server.machine, useful, ready)
         if queued is not None:
             if queued.stranded is not None:
                 queued.stranded.server.unwanted.append(queued.stranded.id)
             return self._batch(server, queued.trials, queued.avoid)
-        trials = self.checks.take(server.id, useful)
+        trials = self.checks.take(server.machine, useful)
         return (
             self._batch(server, trials, frozenset(), check=True) if len(trials) else None
         )
@@ -307,16 +309,17 @@ class Batches(msgspec.Struct, eq=False):
             self.out.commands += [Disputed(trial) for trial in disputed]
             return
         self.workload.fitness[trials], self.workload.metrics[trials] = fitness, metrics
-        server.counted += len(trials)
-        self.checks.choose(trials, [server.id] * len(trials))
+        self.servers.machines.counted[server.machine] += len(trials)
+        self.checks.choose(trials, server.id)
         self.idle.more |= bool(self.checks.waiting)  # others may be idle
         self._count_once(trials, server.id, measured * len(trials))
         if self.second.pairs:
             for other in self.second.counted(batch, trials.tolist()):
                 self._overtaken(other)
-        if self.second.failed_on:  # another server could evaluate what failed there
+        if self.second.failed_on:  # another machine could evaluate what failed there
             for trial in trials:
-                self.blamed += set(self.second.failed_on.get(trial, ())) - {server.id}
+                machines = self.second.failed_on.get(trial, ())
+                self.blamed += {*machines} - {server.machine}
 
     def _overtaken(self, batch: SentBatch) -> None:
         """Cancel a batch of which another server was the first to answer the rest."""
@@ -350,20 +353,20 @@ class Batches(msgspec.Struct, eq=False):
         batch.done |= batch.trials == trial
         self.give_back(batch)
         if batch.check:
-            self.out.note(
-                RunEvent.FAULT, server, f"{text} ({which}, when it was verified)"
-            )
-            self.checks.drop([trial])
-            self.blamed.append(server)
+            said = f"{text} ({which}, when it was verified)"
+            self.out.note(RunEvent.FAULT, server, said)
+            self.checks.drop([trial], workload.source[trial])
+            self.blamed.append(batch.server.machine)
             return
-        servers = self.second.failed_on.setdefault(trial, [])
-        servers.append(server)
-        self.out.note(RunEvent.FAULT, server, f"{text} ({which}, attempt {len(servers)})")
+        ready = {one.machine for one in self.servers.roster.ready.values()}
+        machines = self.second.failed(trial, batch.server.machine, ready)
+        said = f"{text} ({which}, attempt {len(machines)})"
+        self.out.note(RunEvent.FAULT, server, said)
         if elsewhere:
             return
         failed = rest[rest == trial]
-        if len(servers) < ATTEMPTS:
-            self._requeue(QueuedTrials(failed, frozenset(servers)))
+        if len(machines) < ATTEMPTS:
+            self._requeue(QueuedTrials(failed, frozenset(machines)))
         elif self.terms.quarantine:
             workload.faulted[trial] = True
             self._count_once(failed, "", 0.0)
@@ -383,13 +386,11 @@ class Batches(msgspec.Struct, eq=False):
     def _drop_unverifiable(self) -> None:
         """Leave trials unverified if there is no second server for them."""
         if self.checks.waiting and not self.uncounted:
-            alone = self.checks.alone(self.schedule.serving)
-            if alone:
-                self.checks.drop(alone)
+            alone = self.checks.drop_alone(self.servers.roster.computing())
             if alone and not self._alone:
-                text = "there is no second server to verify with"
+                text = "there is no second machine to verify with"
                 self.out.note(RunEvent.UNVERIFIED, text=text)
-            self._alone = bool(alone)
+            self._alone = alone
 
     def _requeue(self, entry: QueuedTrials) -> None:
         if count := len(entry.trials):

@@ -12,6 +12,8 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
+from msgspec import structs
+
 from zswarm.config.sections import ClusterConfig
 from zswarm.errors import Stopped
 from zswarm.experiment import slots_of_this_machine
@@ -22,6 +24,7 @@ from zswarm.protocol.keys import RunKey
 if TYPE_CHECKING:
     import numpy as np
 
+    from zswarm.ot.cluster.machines import Known
     from zswarm.ot.cluster.shell import Cluster, Item
     from zswarm.ot.evaluator import CandidateEvaluator, CandidateOutcomes
     from zswarm.ot.problem import Problem
@@ -40,6 +43,7 @@ class Connection:
         run_threads: ids of the threads whose runs hold slots now.
         clusters: those that hold leases now.
         closed: for good; what still runs ends within a moment.
+        banned: machines that computed wrong for one of its clusters, and as which server.
     """
 
     def __init__(self, options: ClusterConfig) -> None:
@@ -48,6 +52,7 @@ class Connection:
         self.run_threads: list[int] = []
         self.clusters: set[Cluster] = set()
         self.closed = False
+        self.banned: dict[str, str] = {}
         self._hinted = threading.Event()  # the user knows that no server is found
         self._evaluator: CandidateEvaluator | None = None
         self._lock = threading.Lock()  # opening and closing, by any thread
@@ -164,6 +169,7 @@ class Connection:
         stop: threading.Event,
         epoch: int = 0,
         probe: bytes = b"",
+        known: "Known | None" = None,
     ) -> "Iterator[Cluster]":
         """Hold leases of all servers that match a problem, within a ``with`` block.
 
@@ -173,31 +179,29 @@ class Connection:
             say: takes lines for the user.
             stop: ends an evaluation when it is set.
             probe: digest of the probe's outcomes, if it is known.
+            known: what earlier programs of the run found out about machines.
         """
+        from zswarm.ot.cluster.machines import Known
         from zswarm.ot.cluster.matching import terms
         from zswarm.ot.cluster.remote_controllers import RemoteControllers
         from zswarm.ot.cluster.shell import Cluster
         from zswarm.ot.cluster.watch import Watch
         from zswarm.ot.evaluator import arbitrate
 
-        def check() -> None:
-            if stop.is_set():
-                raise Stopped("stopped")
-            if self.closed:
-                raise Stopped("the connection was closed")
-
         options, reach, local = self.options, self.reach, self.local
         experiment, simulator = problem.experiment, problem.simulator
         user = reach.keyring.name if reach.keyring else keys.fold(getpass.getuser())
-        asked = terms(
-            experiment, options, simulator, epoch=epoch, slots=slots, probe=probe
-        )
+        known = known or Known()
+        known = structs.replace(known, banned={**self.banned, **known.banned})
+        run_of: Any = {"epoch": epoch, "slots": slots, "probe": probe, "known": known}
+        asked = terms(experiment, options, simulator, **run_of)
         controllers = None
         if asked.reserve.asks:
             controllers = RemoteControllers(
                 problem.representation, simulator.participants
             )
         name = experiment.problem.simulator
+        check = functools.partial(self._check, stop)
         watch = Watch(options, name, local, hinted=self._hinted, say=say, check=check)
         cluster = Cluster(
             RunKey(options.realm, user, run),
@@ -214,6 +218,14 @@ class Connection:
                 yield cluster
             finally:
                 self.clusters.discard(cluster)
+                self.banned.update(cluster.banned())
+
+    def _check(self, stop: threading.Event) -> None:
+        """Raise Stopped if a run is to end."""
+        if stop.is_set():
+            raise Stopped("stopped")
+        if self.closed:
+            raise Stopped("the connection was closed")
 
     def wait(self, cluster: "Cluster") -> "Iterator[Item | None]":
         """Wait for the number of servers that is asked for; see ``Cluster.wait``."""

@@ -23,7 +23,7 @@ class Dispatch:
     def __init__(self, terms: Terms) -> None:
         self.out = Outbox()
         self.servers = Servers(terms, self.out, probe=terms.probe)
-        self.bans = Bans(self.out, self.servers)
+        self.bans = Bans(self.out, self.servers, terms.known.arbitrated)
         self.batches = Batches.of(terms, self.out, self.servers)
         self._just_answered_by: RemoteServer | None = None  # a batch
 
@@ -106,7 +106,7 @@ class Dispatch:
             self.out.note(RunEvent.MALFORMED, query.server, reply)
             reply = None
         if not query.batch:
-            self.servers.answered(query, reply)
+            self.servers.answered(query, reply, event.machine)
         elif (batch := self._sent(query)) is not None:
             self._just_answered_by = batch.server
             self._batch_answered(query, batch, reply)

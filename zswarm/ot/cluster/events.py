@@ -9,6 +9,8 @@ from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.workload import Workload
 from zswarm.protocol.messages import Reply, Request, Verb, verb
 
+MAX_TEXTS = 16  # of a machine's notes of one event, where servers can have any number
+
 
 class Seen(msgspec.Struct, frozen=True):
     """A server's liveliness token appeared."""
@@ -31,6 +33,7 @@ class Answered(msgspec.Struct, frozen=True):
 
     question: int
     reply: Reply | str | None
+    machine: str = ""  # that answered; "": not known
 
 
 class Work(msgspec.Struct, frozen=True):
@@ -149,6 +152,7 @@ class Outbox(msgspec.Struct, eq=False):
     commands: list[Command] = []
     queries: dict[int, OpenQuery] = {}
     _later: list[tuple[float, OpenQuery]] = []
+    _noted: dict[tuple[RunEvent, str], set[str]] = {}  # texts, by event and machine
     _numbers: int = 0
 
     def number(self) -> int:
@@ -165,10 +169,22 @@ class Outbox(msgspec.Struct, eq=False):
         return number
 
     def note(
-        self, event: RunEvent, server: str = "", text: str = "", count: int = 0
+        self,
+        event: RunEvent,
+        server: str = "",
+        text: str = "",
+        count: int = 0,
+        machine: str = "",
     ) -> None:
         """Add a note."""
-        self.commands.append(Note(event, server, text, count))
+        self.commands.append(Note(event, server, text, count, machine))
+
+    def note_once(self, event: RunEvent, server: str, text: str, machine: str) -> None:
+        """Add a note unless there was one of this machine and text, or too many of the machine."""
+        texts = self._noted.setdefault((event, machine), set())
+        if text not in texts and len(texts) < MAX_TEXTS:
+            texts.add(text)
+            self.note(event, server, text, machine=machine)
 
     def later(self, delay_s: float, query: OpenQuery) -> None:
         """Repeat a query, of a batch, after a delay."""

@@ -18,7 +18,9 @@ import zenoh
 from zswarm import session
 from zswarm.errors import NoRouter, RemoteProtocolError
 from zswarm.ot.cluster import diagnosis, discovery
+from zswarm.ot.cluster.announced import SAME_NAME, Announced
 from zswarm.ot.cluster.events import Answered, Ask, Event, Gone, Seen
+from zswarm.ot.cluster.machines import machine, name_of
 from zswarm.ot.notes import Note, RunEvent
 from zswarm.protocol import codec, keys, messages
 from zswarm.protocol.messages import Evaluate, Fault, Outcomes, Verb
@@ -62,10 +64,22 @@ class Links(msgspec.Struct, eq=False):
     # The session that saw a server; written before the server is Seen.
     home: dict[str, zenoh.Session] = {}
     senders: dict[str, session.Sender] = {}
+    _local: str = ""  # endpoint of this machine's slots
+    _addresses: dict[str, str] = {}  # of links, by zenoh's id of the other side
+    _members: frozenset[str] = frozenset()  # names of servers with certificates
+    _announced: Announced = msgspec.UNSET  # type: ignore[assignment]
+    # Names of which too many servers, or servers of another version, are there, as the user knows.
+    _many: set[str] = set()
+    _others: set[str] = set()
     _tokens: list[zenoh.LivelinessToken] = []
     _leaving: threading.Event = msgspec.field(default_factory=threading.Event)
     _unanswered: dict[int, str] = {}  # questions that carry batches, with the server
     _waited_for: Counter[str] = msgspec.field(default_factory=Counter)  # these, by server
+
+    def __post_init__(self) -> None:
+        if (ring := self.reach.keyring) is not None:
+            self._members = frozenset(ring.members.servers)
+        self._announced = Announced(partial(name_of, members=self._members))
 
     def open(self, local: str) -> None:
         """Open sessions; one through a router opens once the router is there.
@@ -73,7 +87,7 @@ class Links(msgspec.Struct, eq=False):
         Args:
             local: endpoint of this machine's slots; "": there are none.
         """
-        reach, here = self.reach, [local] if local else []
+        reach, here, self._local = self.reach, [local] if local else [], local
         # This machine's slots are reached neither through a router nor with keys.
         if reach.through_router or reach.keyring is not None:
             if local:
@@ -126,11 +140,12 @@ class Links(msgspec.Struct, eq=False):
         ):
             controllers.give(server, message.lease, message.batch, ask.trials)
 
-        def on_answer(answer: bytes | None, _replier: str = "") -> None:
+        def on_answer(answer: bytes | None, replier: str = "") -> None:
             if answer is None:
                 self.post(Answered(ask.question, None))
                 return
-            event = Answered(ask.question, discovery.read_reply(answer))
+            by = self._machine(server, replier) if verb == "offer" else ""
+            event = Answered(ask.question, discovery.read_reply(answer), by)
             if controllers is not None and isinstance(event.reply, Outcomes | Fault):
                 controllers.take_back(server, event.reply.batch)
             (self.answered if verb == "evaluate" else self.post)(event)
@@ -162,6 +177,16 @@ class Links(msgspec.Struct, eq=False):
         if not self.senders[server].send(send, at_once=at_once):
             on_answer(None)
 
+    def _machine(self, server: str, replier: str) -> str:
+        """Return the machine of a server by zenoh's id of who answered for it."""
+        opened = self.home.get(server)
+        if replier not in self._addresses and opened is not None:
+            # Zenoh has not told of the link yet, or there is none.
+            for link in opened.info.links():
+                self._addresses[str(link.zid)] = link.dst
+        address = self._addresses.get(replier, "")
+        return machine(server, address, self._local, self._members)
+
     def _not_sent(self, server: str, error: BaseException) -> None:
         self.post(Note(RunEvent.DIAGNOSIS, "", f"sending to {server} failed: {error!r}"))
 
@@ -183,6 +208,8 @@ class Links(msgspec.Struct, eq=False):
     def _join(self, opened: zenoh.Session, ring: Keyring | None = None) -> None:
         """Show the run on a session, and watch for servers there."""
         self.sessions.append(opened)
+        on_link = zenoh.handlers.Callback(self._on_link, indirect=False)
+        opened.info.declare_link_events_listener(on_link, history=True)
         if self.controllers is not None:
             on_sensors = partial(self._on_sensors, self.controllers)
             callback = zenoh.handlers.Callback(on_sensors, indirect=False)
@@ -197,6 +224,12 @@ class Links(msgspec.Struct, eq=False):
         alive = keys.any_version_alive(self.key.realm)
         liveliness.declare_subscriber(alive, on_token, history=True)
 
+    def _on_link(self, event: zenoh.LinkEvent) -> None:
+        if event.kind == zenoh.SampleKind.PUT:
+            self._addresses[str(event.link.zid)] = event.link.dst
+        else:
+            self._addresses.pop(str(event.link.zid), None)
+
     def _on_refusal(self, name: str, at: str, reason: str) -> None:
         self.post(Note(RunEvent.DIAGNOSIS, "", f"{name} at {at} is {reason}"))
 
@@ -205,13 +238,36 @@ class Links(msgspec.Struct, eq=False):
         key = diagnosis.parsed(sample)
         if key is None:
             return
+        name = name_of(key.server, self._members)
         if key.version == keys.CURRENT:
-            self.home[key.server] = opened
-            self.post(Seen(key.server) if seen else Gone(key.server))
-        elif seen:
+            self._on_server(opened, key.server, name, seen=seen)
+        elif seen and name not in self._others:
+            self._others.add(name)
             wait = threading.Timer(VERSIONS_S, self._note_other_version, (key,))
             wait.daemon = True
             wait.start()
+
+    def _on_server(
+        self, opened: zenoh.Session, server: str, name: str, *, seen: bool
+    ) -> None:
+        """Take the token of a server, or its end; of too many servers of a name, only some."""
+        if seen:
+            if self._announced.add(server, opened):
+                self.home[server] = opened
+                self.post(Seen(server))
+            elif name not in self._many:
+                self._many.add(name)
+                text = (
+                    f"{SAME_NAME} servers named {name} are used already; if these are several "
+                    "machines, each needs a --name of its own"
+                )
+                self.post(Note(RunEvent.SERVER_MISMATCH, server, text))
+            return
+        instead = self._announced.remove(server)
+        self.post(Gone(server))
+        if instead is not None:
+            name, self.home[name] = instead
+            self.post(Seen(name))
 
     def _note_other_version(self, key: keys.ServerKey) -> None:
         if key.server not in self.home:

@@ -7,6 +7,7 @@ import msgspec
 
 from zswarm.config.sections import ClusterConfig
 from zswarm.experiment import Experiment
+from zswarm.ot.cluster.machines import Known
 from zswarm.plugins.version_hash import version_hash, versions
 from zswarm.protocol import labels
 from zswarm.protocol.labels import Preference, Term
@@ -43,6 +44,7 @@ class Terms(msgspec.Struct, frozen=True, kw_only=True):
     quarantine: bool = False  # count a trial that faults again and again as NaN
     verify: float = 0.0  # share of the trials that a second server evaluates, too
     probe: bytes = b""  # digest of the probe's outcomes; b"": the first server's counts
+    known: Known = Known()  # what earlier programs of the run found out
     # Whether a trial may be with two servers, of which the first outcome is counted.
     second_starts: bool = True
 
@@ -76,6 +78,7 @@ def terms(
     epoch: int,
     slots: int,
     probe: bytes,
+    known: Known = Known(),  # noqa: B008  frozen
 ) -> Terms:
     """Return the terms on which servers evaluate an experiment."""
     problem, representation = complete.problem, complete.representation
@@ -100,6 +103,7 @@ def terms(
         quarantine=options.on_fault == "quarantine",
         verify=options.verify if simulator.repeatable else 0.0,
         probe=probe,
+        known=known,
         # Of outcomes that differ, the first one is that of a short trial more often; robots may be
         # real. And a controller at the optimizer would be asked twice.
         second_starts=simulator.repeatable and not reserve.asks,

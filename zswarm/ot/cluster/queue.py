@@ -1,7 +1,7 @@
 """The trials of a workload that wait for a server, in the order in which they are sent."""
 
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Mapping
 
 import msgspec
 import numpy as np
@@ -13,7 +13,7 @@ class QueuedTrials(msgspec.Struct, eq=False):
     """Trials that wait, as indices into the workload."""
 
     trials: np.ndarray
-    avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
+    avoid: frozenset[str] = frozenset()  # machines on which one of them ended in a fault
     # Their batch, which a server may still have. It resumes the batch as a whole, unless another
     # server took some of these trials: a batch can only be cancelled as a whole.
     stranded: SentBatch | None = None
@@ -30,16 +30,20 @@ class TrialQueue(msgspec.Struct, eq=False):
         self.count += len(entry.trials)
         self.entries.appendleft(entry)
 
-    def take(self, server: str, size: int, serving: Iterable[str]) -> QueuedTrials | None:
-        """Take at most ``size`` trials for a server.
+    def take(
+        self, machine: str, size: int, ready: Mapping[str, RemoteServer]
+    ) -> QueuedTrials | None:
+        """Take at most ``size`` trials for a server of a machine.
 
         They come with the batch that they were stranded in, if any: it is to be cancelled, and
-        what is left of it waits like any trials. A server gets trials that should avoid it only if
-        they should avoid all that serve, and with a size of 0 one trial that others should avoid.
-        Return None if there is nothing for this server.
+        what is left of it waits like any trials. A machine gets trials that should avoid it only if
+        they should avoid all that are ready, and with a size of 0 one trial that others should
+        avoid. Return None if there is nothing for this server.
         """
         for entry in self.entries:
-            allowed = server not in entry.avoid or entry.avoid.issuperset(serving)
+            allowed = machine not in entry.avoid or all(
+                server.machine in entry.avoid for server in ready.values()
+            )
             if allowed and (size or entry.avoid):
                 break
         else:

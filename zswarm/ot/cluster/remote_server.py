@@ -4,7 +4,8 @@
 phase       the server ...                         it leaves the phase when ...
 ==========  =====================================  =============================================
 IDLE        is not used: it has no token, does     its token appears (SEEN)
-            not match, refused, or sent nonsense
+            not match, refused, sent nonsense, or
+            is of a machine that is banned
 SEEN        is asked for its offer                 it offers what is required (SPARE)
 SPARE       matches; its slots are not wanted      its slots are wanted (RESERVING), or its
                                                    token appears again (SEEN)
@@ -30,7 +31,8 @@ answered. When it leaves these two phases, its batches wait for any server:
   same lease again (``resumable_lease``), it is asked again for those that no other server took,
   under their ids, and computes nothing twice. The others are cancelled there.
 - Its lease ended in another way: nothing is resumed.
-- It is BANNED: what was counted for it in this workload is evaluated again, too.
+- It is BANNED, as all servers of its machine: what was counted for them in this workload is
+  evaluated again, too.
 
 When a lease can be resumed: docs/protocol.md, "Times of a lease".
 """
@@ -42,13 +44,9 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from zswarm.ot.cluster.machines import name_of
 from zswarm.ot.cluster.pace import Pace
 from zswarm.protocol.messages import PROBE_DIGEST
-
-# A server is faulty that failed this many trials that others could evaluate, and this share of all
-# it evaluated.
-BLAMED = 3
-BLAMED_SHARE = 0.01
 
 
 class Phase(Enum):
@@ -85,7 +83,7 @@ class SentBatch(msgspec.Struct, eq=False):
     trials: np.ndarray
     done: np.ndarray  # (trials,) bool: the outcome came
     missing: int  # trials whose outcome did not come
-    avoid: frozenset[str] = frozenset()  # servers on which one of them ended in a fault
+    avoid: frozenset[str] = frozenset()  # machines on which one of them ended in a fault
     check: bool = False  # they are counted already, and evaluated again for comparison
     question: int = 0  # the query that asked for it last
     asked: Literal["", "whole", "by-id"] = ""  # how it was asked for last
@@ -112,6 +110,7 @@ class RemoteServer(msgspec.Struct, eq=False):
 
     id: str  # a server that is restarted has another one
     phase: Phase = Phase.IDLE
+    machine: str = ""  # what it does wrong is held against this (``machines``)
     present: bool = False  # its token is there
     lease: bytes = b""  # while LEASED or LEAVING
     # A lease given up for silence, which may still be valid at the server.
@@ -139,11 +138,12 @@ class RemoteServer(msgspec.Struct, eq=False):
     paused_until: float | None = None
     batches: dict[int, SentBatch] = {}
     unwanted: list[int] = []  # batches to cancel that the server may still have
-    counted: int = 0  # trials
-    blamed: int = 0  # trials that failed here and were evaluated elsewhere
-    faulty: bool = False  # backed off for that
+    faulty: bool = False  # backed off: too many trials failed on its machine
     unanswered: int = 0  # queries in a row, but for batches, that ended without an answer
     silence_reported: bool = False  # to the user
+
+    def __post_init__(self) -> None:
+        self.machine = self.machine or name_of(self.id)
 
     def taken(self) -> int:
         """Return how many slots the run has here, or asked for."""
@@ -157,10 +157,6 @@ class RemoteServer(msgspec.Struct, eq=False):
             if self.probe[at : at + PROBE_DIGEST] != probe[at : at + PROBE_DIGEST]:
                 return at // PROBE_DIGEST
         return None
-
-    def fails_too_much(self) -> bool:
-        """Return whether too many trials failed here that other servers could evaluate."""
-        return self.blamed >= max(BLAMED, BLAMED_SHARE * self.counted)
 
 
 class Standing(msgspec.Struct, frozen=True):

@@ -2,6 +2,7 @@
 
 import itertools
 from collections import Counter
+from collections.abc import Iterator
 
 import msgspec
 
@@ -22,14 +23,16 @@ class Roster(msgspec.Struct, eq=False):
     slots: int = 0  # ready
     granted: int = 0  # slots
     taken: int = 0  # slots, granted or asked for
-    _counted: dict[str, tuple[Phase, int, int, int]] = {}
+    machines: Counter[str] = msgspec.field(default_factory=Counter)  # taken, by machine
+    _counted: dict[str, tuple[Phase, int, int, int, str]] = {}
 
     def update(self, server: RemoteServer) -> None:
         """Count a server as it is now."""
         self._add(self._counted.pop(server.id, None), -1)
         is_leased = server.phase == Phase.LEASED
         slots, ready = (server.slots, server.ready) if is_leased else (0, 0)
-        self._counted[server.id] = counted = server.phase, slots, ready, server.taken()
+        counted = server.phase, slots, ready, server.taken(), server.machine
+        self._counted[server.id] = counted
         self._add(counted, 1)
         for names, belongs in (
             (self.leased, is_leased),
@@ -58,10 +61,16 @@ class Roster(msgspec.Struct, eq=False):
             probe=probe,
         )
 
-    def _add(self, counted: tuple[Phase, int, int, int] | None, sign: int) -> None:
+    def computing(self) -> Iterator[RemoteServer]:
+        """Iterate over the servers that can evaluate, or will once a slot is prepared."""
+        return itertools.chain(self.ready.values(), self.preparing.values())
+
+    def _add(self, counted: tuple[Phase, int, int, int, str] | None, sign: int) -> None:
         if counted is not None:
-            phase, slots, ready, taken = counted
+            phase, slots, ready, taken, machine = counted
             self.phases[phase] += sign
             self.granted += sign * slots
             self.slots += sign * ready
             self.taken += sign * taken
+            if taken:
+                self.machines[machine] += sign * taken

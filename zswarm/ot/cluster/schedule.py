@@ -209,7 +209,7 @@ class Schedule(msgspec.Struct, eq=False):
         """Return how many of some trials a server does not end later than others would.
 
         Args:
-            checks: trials that wait for a second server: one of the two that are first to end one.
+            checks: trials that wait for a second machine: one of the two that are first to end one.
         """
         if len(self.serving) < 2:
             return trials
@@ -217,8 +217,11 @@ class Schedule(msgspec.Struct, eq=False):
         if now >= self._stale_at:
             self._end = self._expected_end(self.queue.count + checks)
             if checks:
-                ends = sorted(self.due(one, 1) for one in self.serving.values())
-                self._end = max(self._end, ends[1])
+                first: dict[str, float] = {}
+                for one in self.serving.values():
+                    end = first.get(one.machine, math.inf)
+                    first[one.machine] = min(end, self.due(one, 1))
+                self._end = max(self._end, *sorted(first.values())[:2])
             self._stale_at = now + STALE * (self._end - now)
         return self.fitting(server, trials, now + TOLERANCE * (self._end - now))
 

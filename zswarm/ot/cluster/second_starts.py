@@ -36,7 +36,7 @@ class SecondStarts(msgspec.Struct, eq=False):
 
     schedule: Schedule
     pairs: dict[int, tuple[SentBatch, SentBatch]] = {}  # by trial
-    failed_on: dict[int, list[str]] = {}  # by trial: the servers of its failed attempts
+    failed_on: dict[int, list[str]] = {}  # by trial: the machines of its failed attempts
     _latest: float = 1.0  # times the expected time: the latest batch of late
 
     def begin(self, batch: SentBatch, trials: np.ndarray, copy: SentBatch) -> None:
@@ -78,6 +78,16 @@ class SecondStarts(msgspec.Struct, eq=False):
             batch.drop(trial)
         return paired
 
+    def failed(self, trial: int, machine: str, ready: set[str]) -> list[str]:
+        """Count a failed attempt, and return the machines of all of this trial.
+
+        What a machine says again counts only if no other one is ready for the trial.
+        """
+        machines = self.failed_on.setdefault(trial, [])
+        if machine not in machines or ready <= {*machines}:
+            machines.append(machine)
+        return machines
+
     def find(
         self, servers: Iterable[RemoteServer], idle: IdleServers, *, waits: bool
     ) -> Iterator[Again]:
@@ -109,7 +119,7 @@ class SecondStarts(msgspec.Struct, eq=False):
                 end = now + GAIN * rest_s
                 if idle <= 0 or not self.schedule.fitting(server, 1, end):
                     break
-                if batch.server is server or server.id in batch.avoid:
+                if batch.server is server or server.machine in batch.avoid:
                     continue
                 trials = self._single(batch)
                 most = min(len(trials), self.schedule.fits)
@@ -128,7 +138,7 @@ class SecondStarts(msgspec.Struct, eq=False):
             )  # of the first ones to end less is seen
             server.pace.outdated = True
             for batch in batches:
-                others = batch.server is not server and server.id not in batch.avoid
+                others = batch.server is not server and server.machine not in batch.avoid
                 if others and len(trials := self._single(batch)):
                     yield server, batch, trials[-1:]
                     break

@@ -13,6 +13,7 @@ from msgspec import structs
 from zswarm.errors import LocalProtocolError
 from zswarm.ot.cluster.allotment import Allotment
 from zswarm.ot.cluster.events import OpenQuery, Outbox
+from zswarm.ot.cluster.machines import Machines
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import MOVES, Phase, RemoteServer, Standing
 from zswarm.ot.cluster.roster import Roster
@@ -45,6 +46,7 @@ class Servers(msgspec.Struct, eq=False):
     probe: bytes = b""  # digest of the probe's outcomes, once known
     differing: list[RemoteServer] = []  # with another digest; the caller takes them out
     roster: Roster = msgspec.field(default_factory=Roster)
+    machines: Machines = msgspec.UNSET  # type: ignore[assignment]
     allotment: Allotment = msgspec.UNSET  # type: ignore[assignment]
     _absent: dict[
         str, RemoteServer
@@ -54,6 +56,7 @@ class Servers(msgspec.Struct, eq=False):
 
     def __post_init__(self) -> None:
         self.allotment = Allotment(self.terms, self.roster)
+        self.machines = Machines.after(self.terms.known)
 
     def next_time(self) -> float:
         """Return when a server is due, or slots are to be allotted."""
@@ -101,8 +104,8 @@ class Servers(msgspec.Struct, eq=False):
         elif server.phase not in (Phase.LEAVING, Phase.BANNED):
             self._move(server, Phase.IDLE)
 
-    def answered(self, query: OpenQuery, reply: Reply | None) -> None:
-        """Take the reply to any query but Evaluate."""
+    def answered(self, query: OpenQuery, reply: Reply | None, machine: str = "") -> None:
+        """Take the reply of a machine to any query but Evaluate."""
         server, verb = self.by_id.get(query.server), query.verb
         if server is None or query.question != server.question:
             return  # to Cancel or Release, or its server has left the phase in which it was asked
@@ -111,7 +114,7 @@ class Servers(msgspec.Struct, eq=False):
             return  # it is asked again when it is back
         match verb, reply:
             case "offer", Offer():
-                self._offered(server, reply)
+                self._offered(server, reply, machine)
             case "reserve" | "renew", Lease():
                 server.growing &= verb == "renew"
                 self._granted(server, reply)
@@ -195,11 +198,20 @@ class Servers(msgspec.Struct, eq=False):
 
     # ---- offers and reservations
 
-    def _offered(self, server: RemoteServer, offer: Offer) -> None:
+    def _offered(self, server: RemoteServer, offer: Offer, machine: str) -> None:
+        server.machine = machine or self.machines.of(server.id)
+        if (wrong := self.machines.banned.get(server.machine)) is not None:
+            self._move(server, Phase.IDLE)
+            text = (
+                f"its machine, {server.machine}, computed wrong outcomes as {wrong}; "
+                f"zswarm-ot resume --trust '{server.machine}' uses it again"
+            )
+            self._note_once(RunEvent.SERVER_BANNED, server, text)
+            return
         if mismatch := self.terms.choice.mismatch(offer):
             self._move(server, Phase.IDLE)
             if server.mismatch != mismatch:
-                self.out.note(RunEvent.SERVER_MISMATCH, server.id, mismatch)
+                self._note_once(RunEvent.SERVER_MISMATCH, server, mismatch)
             server.mismatch = mismatch
             return
         server.capacity, server.mismatch = offer.capacity, ""
@@ -264,7 +276,9 @@ class Servers(msgspec.Struct, eq=False):
         if lease.ready != was_ready:
             self.changed[server.id] = server
             event = RunEvent.SERVER_SLOTS if was_ready else RunEvent.SERVER_JOINED
-            self.out.note(event, server.id, count=lease.ready)
+            joined = "" if was_ready else server.machine
+            self.out.note(event, server.id, count=lease.ready, machine=joined)
+            self.machines.use(server.id, server.machine)
         if server.ready < min(server.wanted, server.capacity):
             self._ask(server)  # the server answers when more slots are ready
 
@@ -281,7 +295,7 @@ class Servers(msgspec.Struct, eq=False):
                 self.out.failure = f"{server.id}: {refused.reason}"
             case _:
                 self._move(server, Phase.IDLE)
-                self.out.note(RunEvent.SERVER_REFUSED, server.id, refused.reason)
+                self._note_once(RunEvent.SERVER_REFUSED, server, refused.reason)
 
     def drop(self, server: RemoteServer, note: RunEvent, text: str) -> None:
         """Release the lease of a server; do not use it until its token appears again."""
@@ -303,8 +317,11 @@ class Servers(msgspec.Struct, eq=False):
 
     def back_off(self, server: RemoteServer, verb: Verb) -> None:
         """Ask a server that did not answer repeatedly again only after a pause."""
-        if server.phase == Phase.LEASED or not server.silence_reported:
-            self.out.note(RunEvent.SERVER_SILENT, server.id, f"no answer to {verb}")
+        text = f"no answer to {verb}"
+        if server.phase == Phase.LEASED:
+            self.out.note(RunEvent.SERVER_SILENT, server.id, text)
+        elif not server.silence_reported:
+            self._note_once(RunEvent.SERVER_SILENT, server, text)
         server.silence_reported = True
         self.end(server, Phase.BACKED_OFF, resumable=True, again_s=BACK_OFF_S)
 
@@ -318,7 +335,12 @@ class Servers(msgspec.Struct, eq=False):
 
     def known(self, name: str) -> RemoteServer:
         """Return a server; one that was not known is IDLE."""
-        return self.by_id.setdefault(name, RemoteServer(name))
+        if name not in self.by_id:
+            self.by_id[name] = RemoteServer(name, machine=self.machines.of(name))
+        return self.by_id[name]
+
+    def _note_once(self, event: RunEvent, server: RemoteServer, text: str) -> None:
+        self.out.note_once(event, server.id, text, server.machine)
 
     def end(
         self,

@@ -173,6 +173,10 @@ class Cluster:
             if not isinstance(item, Complete):
                 yield item
 
+    def banned(self) -> dict[str, str]:
+        """Return the machines that computed wrong, and as which server."""
+        return dict(self._dispatch.servers.machines.banned)
+
     def diagnose(self) -> None:
         """Find out why servers are missing; the findings come as notes, some seconds later."""
 

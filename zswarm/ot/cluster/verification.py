@@ -1,11 +1,13 @@
-"""Trials that a second server evaluates, too, and which server is wrong if outcomes differ."""
+"""Trials that a second machine evaluates, too, and which server is wrong if outcomes differ."""
 
 import itertools
-from collections.abc import Collection, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable
 
 import msgspec
 import numpy as np
 
+from zswarm.ot.cluster.remote_server import RemoteServer
 from zswarm.ot.workload import Workload, one_nan
 
 # Its multiples are evenly distributed in 0..1: no pattern of trials escapes.
@@ -13,15 +15,17 @@ GOLDEN = 0.6180339887498949
 
 
 class Checks(msgspec.Struct, eq=False):
-    """The trials of a workload that are to be verified."""
+    """The trials of a workload that are to be verified, each on another machine than its first."""
 
     share: float  # of the trials to come that is verified
-    verified: int = 0  # trials for which two servers had the same outcome
+    machine_of: Callable[[str], str]  # returns the machine of a server
+    verified: int = 0  # trials for which two machines had the same outcome
     open: set[int] = set()  # trials that are to be verified, or disputed
     # Those of them that no server has, in order, by the server that was counted.
     waiting: dict[str, dict[int, None]] = {}
     count: int = 0  # of these
-    _drawn: int = 0  # trials that were chosen, or not
+    # Trials that were chosen, or not, by machine: the first one of each is.
+    _drawn: Counter[str] = msgspec.field(default_factory=Counter)
     _disputes: dict[int, dict[str, bytes]] = {}  # outcomes by trial and server
 
     def clear(self) -> None:
@@ -31,23 +35,25 @@ class Checks(msgspec.Struct, eq=False):
         self.count = 0
         self._disputes.clear()
 
-    def choose(self, trials: np.ndarray, sources: Iterable[str]) -> None:
-        """Choose from counted trials, each with the server whose outcome was counted."""
+    def choose(self, trials: np.ndarray, source: str) -> None:
+        """Choose from trials that were counted for a server."""
         if not self.share:
             return
-        numbers = np.arange(self._drawn, self._drawn + len(trials))
-        self._drawn += len(trials)
-        chosen = (numbers * GOLDEN % 1.0 < self.share).tolist()
-        counted = zip(trials.tolist(), sources, strict=True)
-        for trial, source in itertools.compress(counted, chosen):
-            self.open.add(trial)
+        machine = self.machine_of(source)
+        drawn = self._drawn[machine]
+        numbers = np.arange(drawn, drawn + len(trials))
+        self._drawn[machine] += len(trials)
+        chosen = trials[numbers * GOLDEN % 1.0 < self.share].tolist()
+        self.open.update(chosen)
+        for trial in chosen:
             self._wait(trial, source)
 
-    def take(self, server: str, limit: int) -> np.ndarray:
-        """Take trials for a server that were counted for another one."""
+    def take(self, machine: str, limit: int) -> np.ndarray:
+        """Take trials for a machine that were counted for another one."""
         taken: list[int] = []
         while len(taken) < limit:
-            source = next((source for source in self.waiting if source != server), None)
+            others = (one for one in self.waiting if self.machine_of(one) != machine)
+            source = next(others, None)
             if source is None:
                 break
             trials = self.waiting[source]
@@ -65,25 +71,32 @@ class Checks(msgspec.Struct, eq=False):
             if trial in self.open:
                 self._wait(trial, workload.source[trial])
 
-    def drop(self, trials: Iterable[int]) -> None:
-        """Leave trials unverified."""
+    def restored(self, workload: Workload) -> None:
+        """Choose from the trials of a workload that an earlier program counted."""
+        for source in sorted({*workload.source.tolist()} - {""}):
+            self.choose(np.flatnonzero(workload.source == source), source)
+
+    def drop(self, trials: Iterable[int], source: str = "") -> None:
+        """Leave trials unverified; the next one of the machine of a source is chosen."""
+        self._drawn.pop(self.machine_of(source), None)
         self.open.difference_update(trials)
         waiting, self.waiting, self.count = self.waiting, {}, 0
-        for source, of_source in waiting.items():
-            for trial in of_source:
+        for server, of_server in waiting.items():
+            for trial in of_server:
                 if trial in self.open:
-                    self._wait(trial, source)
+                    self._wait(trial, server)
 
-    def alone(self, servers: Collection[str]) -> list[int]:
-        """Return the waiting trials for which none of these servers is a second one."""
-        if len(servers) > 1:
-            return []
-        return [
-            trial
-            for source, waiting in self.waiting.items()
-            if not any(server != source for server in servers)
-            for trial in waiting
-        ]
+    def drop_alone(self, servers: Iterable[RemoteServer]) -> bool:
+        """Drop the waiting trials for which none of these servers is of a second machine."""
+        machines: set[str] = set()
+        for server in servers:
+            machines.add(server.machine)
+            if len(machines) > 1:
+                return False
+        alone = [one for one in self.waiting if not machines - {self.machine_of(one)}]
+        for source in alone:
+            self.drop(list(self.waiting[source]), source)
+        return bool(alone)
 
     def compare(
         self,

@@ -54,6 +54,7 @@ class Watch(msgspec.Struct, eq=False):
             refused = item.event in (
                 RunEvent.SERVER_REFUSED,
                 RunEvent.SERVER_MISMATCH,
+                RunEvent.SERVER_BANNED,
             ) and is_local(item.server)
             if refused and not others and local is not None and not standing.serving:
                 raise EvaluationError(item.text)

@@ -8,6 +8,7 @@ import click
 
 from zswarm.errors import ConfigError
 from zswarm.ot.commands.shared import options, suggestions
+from zswarm.system.format import plural
 from zswarm.system.text import clean
 
 MENU = ("Evolve", 2)
@@ -25,12 +26,21 @@ MENU = ("Evolve", 2)
     help="Go back first: drop generation N, counted from 0, and all after it, and evaluate them "
     "again. The record as it was is kept next to the new one.",
 )
+@click.option(
+    "--trust",
+    "trusted",
+    multiple=True,
+    metavar="MACHINE",
+    help="Use a machine again that was banned, because it computed wrong: what the line names that "
+    "says so. May be given several times.",
+)
 @options.cluster_options
 @options.dashboard_option
 @options.json_lines_option
 def command(
     folder: Path,
     generation: int | None,
+    trusted: tuple[str, ...],
     with_dashboard: bool,
     as_json: bool,
     **cluster: Any,
@@ -43,6 +53,7 @@ def command(
     \b
       zswarm-ot resume runs/stadium
       zswarm-ot resume runs/stadium --from 12
+      zswarm-ot resume runs/stadium --trust lab-02
     """
     from zswarm.ot import evolution
     from zswarm.ot.cluster.connection import Connection
@@ -55,6 +66,7 @@ def command(
     if generation is not None:
         _go_back(folder, generation)
     if not (folder / DATABASE).exists() and is_study(folder):
+        _refuse_study(folder, "--trust" if trusted else "")
         with playing.figures() as folders, Study.open(folder) as study:
             settings = options.with_cluster(study.experiment, cluster).cluster
             opened: Any = Connection(settings) if study.left else contextlib.nullcontext()
@@ -80,10 +92,17 @@ def command(
     with (
         playing.figures() as folders,
         Connection(complete.cluster) as connection,
-        evolution.resume(folder, connection, shown) as run,
+        evolution.resume(folder, connection, shown, trusted) as run,
     ):
         folders.append(run.folder)
         playing.finish(run, shown, with_dashboard=with_dashboard)
+
+
+def _refuse_study(folder: Path, option: str) -> None:
+    if option:
+        raise ConfigError(
+            f"{clean(str(folder))}: {option} takes the folder of a run, not a study's"
+        )
 
 
 def _go_back(folder: Path, generation: int) -> None:
@@ -93,10 +112,16 @@ def _go_back(folder: Path, generation: int) -> None:
     from zswarm.ot.study.study import is_study
 
     if not (folder / DATABASE).exists() and is_study(folder):
-        raise ConfigError(f"{folder}: --from takes the folder of a run, not a study's")
-    aside = go_back(folder, generation)
+        _refuse_study(folder, "--from")
+    former = go_back(folder, generation)
     click.echo(
         f"{clean(str(folder))}: generations from {generation} on are evaluated again; the record "
-        f"as it was is {clean(aside.name)}",
+        f"as it was is {clean(former.path.name)}",
         err=True,
     )
+    if former.damaged:
+        click.echo(
+            f"{plural(former.damaged, 'damaged event')} dropped: a machine that one of them banned "
+            "is used again",
+            err=True,
+        )

@@ -27,6 +27,7 @@ STATES: dict[str, str] = {
     RunEvent.SERVER_DIFFERS: "differs",
     RunEvent.SERVER_FAULTY: "backed off",
     RunEvent.SERVER_WRONG: "computes wrong",
+    RunEvent.SERVER_BANNED: "computes wrong",
 }
 LEASES = {RunEvent.LEASE_WAITING, RunEvent.LEASE_PREPARING, RunEvent.LEASE_READY}
 JOINS = {RunEvent.SERVER_JOINED, RunEvent.SERVER_SLOTS}

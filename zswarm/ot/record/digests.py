@@ -1,8 +1,8 @@
 """Digests in a record, which show that what is read is what was written; SQLite has none.
 
 The history hash guards the candidates of each finished generation, a digest of 64 bits each row of
-``generations``, ``outcomes``, ``optimizer`` and ``meta``. They find accidents: who wants to forge a
-record computes them again.
+``generations``, ``outcomes``, ``events``, ``optimizer`` and ``meta``. They find accidents: who
+wants to forge a record computes them again.
 """
 
 import hashlib
@@ -22,6 +22,7 @@ GENERATION = (
     "generation, finished_at, best, mean, evaluations, statistics, history, outcomes"
 )
 CANDIDATE = "candidate, genome, fitness, measures, digest"
+EVENT = "rowid, at, generation, event, server, text, count, machine"
 OUTCOMES = (
     "id, generation, asked, count, trials, fitness, metrics, faulted, server, seconds, at, "
     "round, participants"
@@ -141,6 +142,24 @@ def check_outcomes(row: Sequence[Any], doubtful: Any, written: Any) -> int | Non
         return None
     expected = ~written if doubtful else written
     return expected if of_row(*row) == expected else None
+
+
+# ---- events
+
+
+def check_event(number: int, row: Sequence[Any], written: Any, generations: int) -> None:
+    """Raise Damage unless a row of ``events`` is what was written.
+
+    Args:
+        number: of the row, counted from 1.
+        row: the columns ``EVENT``.
+        written: its digest.
+        generations: how many are finished, and do not depend on events.
+    """
+    if row[0] != number:
+        raise Damage(f"event {number} is missing", generations)
+    if of_row(*row) != written:
+        raise Damage(f"event {number} is not what was written", generations)
 
 
 def _signed(body: bytes) -> int:

@@ -4,7 +4,6 @@ A record may come from somewhere else: its types are checked, and its texts made
 """
 
 import contextlib
-import html
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
@@ -24,7 +23,7 @@ from zswarm.ot.record.database import UNREADABLE, describe, read_only
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT, check_run, is_running
 from zswarm.ot.record.trials import numbers, trials_of
 from zswarm.system.extras import need
-from zswarm.system.text import clean, clean_all
+from zswarm.system.text import clean, clean_all, html_table
 
 if TYPE_CHECKING:
     import pandas
@@ -114,16 +113,19 @@ class Run:
         return value if isinstance(value, str) else None
 
     @property
+    def history_version(self) -> int:
+        """Version of the history hash: hashes of other versions do not compare."""
+        value = self.meta.get("history_version")
+        return value if isinstance(value, int) else 0
+
+    @property
     def finished(self) -> bool:
         """Return whether the run has all its generations."""
         return self.history_hash is not None
 
     @property
     def held_out(self) -> HeldOut | None:
-        """The champion's fitness on seeds that evolution never used, and in search.
-
-        None if it was not assessed, or not yet.
-        """
+        """The champion's fitness on held-out seeds and in search; None if it is not assessed."""
         found = self.meta.get("assessment")
         try:
             return None if found is None else msgspec.json.decode(found, type=HeldOut)
@@ -179,11 +181,15 @@ class Run:
         return max((value for value in best if value is not None), default=None)
 
     def events(self) -> list[Row]:
-        """Return the rows of the table ``events``, in order."""
-        rows = self.rows(
-            "SELECT at, generation, event, server, text, count FROM events ORDER BY rowid",
-            tuple[float, int | None, str, str | None, str | None, int | None],
-        )
+        """Return the rows of the table ``events``, in order.
+
+        Raises:
+            ConfigError: one is not what was written, or missing.
+        """
+        with self._reading() as database:
+            found = [row[1:7] for row in verify.whole_events(database)]
+        kind = tuple[float, int | None, str, str | None, str | None, int | None]
+        rows = self._typed(found, kind, "events")
         return _named("at generation event server text count", rows)
 
     def servers(self) -> list[Row]:
@@ -290,13 +296,7 @@ class Run:
             "champion, held-out": "" if held_out is None else f"{held_out:.6g}",
             "history": self.history_hash or "",
         }
-        left = "style='text-align:left'"
-        cells = "".join(
-            f"<tr><th {left}>{html.escape(key)}</th><td {left}>{html.escape(value)}</td></tr>"
-            for key, value in rows.items()
-            if value
-        )
-        return f"<table>{cells}</table>"
+        return html_table({key: value for key, value in rows.items() if value})
 
     # ---- reading the database
 

@@ -50,6 +50,7 @@ def result_after(folder: Path, generations: int) -> Result | None:
         faulted,
         doubtful,
         run.relative,
+        run.history_version,
         *(
             ()
             if last is not history[-1]

@@ -8,6 +8,8 @@ import msgspec
 import numpy as np
 
 from zswarm.errors import ConfigError
+from zswarm.ot.cluster.machines import Known
+from zswarm.ot.notes import RunEvent
 from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.record import statements
 from zswarm.ot.record.contenders import Contender, Contenders
@@ -17,6 +19,7 @@ from zswarm.ot.record.packing import Place, unpack
 from zswarm.ot.workload import Workload
 
 CONTENDERS_AT_ONCE = 10_000  # rows
+BANS = (RunEvent.SERVER_WRONG, RunEvent.SERVER_BANNED)
 
 
 class Resumed(NamedTuple):
@@ -199,6 +202,24 @@ class Recorded:
                 ):
                     return True
         return False
+
+    def known(self) -> Known:
+        """Return what was found out about machines; a user may trust one again."""
+        of = (RunEvent.SERVER_JOINED, *BANS, RunEvent.SERVER_TRUSTED)
+        sql = (
+            "SELECT event, server, machine FROM events "
+            "WHERE event IN (?, ?, ?, ?) AND machine <> '' ORDER BY rowid"
+        )
+        machines: dict[str, str] = {}
+        banned: dict[str, str] = {}
+        for event, server, machine in self._database.rows(sql, *map(str, of)):
+            if event == RunEvent.SERVER_TRUSTED:
+                banned.pop(machine, None)
+            elif event in BANS:
+                banned.setdefault(machine, server)
+            else:
+                machines[server] = machine
+        return Known(machines, banned)
 
     def _genome(self, place: Place) -> bytes:
         sql = "SELECT genome FROM candidates WHERE (generation, candidate) = (?, ?)"

@@ -6,19 +6,22 @@ import shutil
 import sqlite3
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from zswarm.errors import ConfigError
+from zswarm.ot.notes import RunEvent
 from zswarm.ot.record import verify
 from zswarm.ot.record.database import SIDE_FILES, read_only
 from zswarm.ot.record.digests import (
     CANDIDATE,
+    EVENT,
     GENERATION,
     OUTCOMES,
     Damage,
     check_candidates,
     check_generation,
     check_outcomes,
+    of_row,
     seal,
     total,
 )
@@ -28,13 +31,21 @@ from zswarm.ot.record.schema import CREATE, OF_THE_END
 from zswarm.ot.record.statements import SET_META
 from zswarm.system.files import sync
 
-EVENT = "at, generation, event, server, text, count"
+KEPT = (RunEvent.SERVER_WRONG, RunEvent.SERVER_BANNED, RunEvent.SERVER_TRUSTED)
 
 
-def go_back(folder: Path, generations: int) -> Path:
+class Former(NamedTuple):
+    """The record from before a run went back."""
+
+    path: Path
+    damaged: int  # events that the new record does not have, because they were damaged
+
+
+def go_back(folder: Path, generations: int) -> Former:
     """Drop everything after some generations, and return where the former record is kept.
 
-    The optimizer's state is dropped, too: a resume makes it again from the candidates.
+    The optimizer's state is dropped, too: a resume makes it again from the candidates. Bans of
+    machines are kept.
 
     Args:
         generations: how many remain.
@@ -55,9 +66,9 @@ def go_back(folder: Path, generations: int) -> Path:
             with contextlib.closing(sqlite3.connect(part, isolation_level=None)) as new:
                 new.executescript(f"BEGIN; {CREATE}")
                 new.executemany(SET_META, [*meta.items(), seal(meta)])
-                _copy(former, new, generations, folder)
+                damaged = _copy(former, new, generations, folder)
                 new.execute("COMMIT")
-        return _replace(path, part)
+        return Former(_replace(path, part), damaged)
     except OSError as error:
         raise ConfigError(
             f"{folder}: cannot be written: {error.strerror or error}"
@@ -69,8 +80,8 @@ def go_back(folder: Path, generations: int) -> Path:
 
 def _copy(
     former: sqlite3.Connection, new: sqlite3.Connection, generations: int, folder: Path
-) -> None:
-    """Copy whole generations, their outcomes and events."""
+) -> int:
+    """Copy whole generations, their outcomes and events; return how many events are damaged."""
     expected, before = [], START
     for number, (*row, written) in zip(
         range(generations), verify.generations(former), strict=False
@@ -94,7 +105,7 @@ def _copy(
     for number, written in enumerate(expected):
         if total([found[number]]) != written:
             raise Damage("outcomes of its trials are not what was written", number)
-    _add(new, "events", EVENT, _events_before(former, generations))
+    return _copy_events(former, new, generations)
 
 
 def _outcomes_before(
@@ -110,14 +121,25 @@ def _outcomes_before(
                 yield row
 
 
-def _events_before(former: sqlite3.Connection, generations: int) -> Iterator[Any]:
-    """Yield the events before a generation, as far as they can be read."""
-    sql = f"SELECT {EVENT} FROM events ORDER BY rowid"  # noqa: S608  ours
+def _copy_events(
+    former: sqlite3.Connection, new: sqlite3.Connection, generations: int
+) -> int:
+    """Copy the whole events before a generation; return how many are damaged."""
+    kept: list[tuple[Any, ...]] = []
+    damaged, last = 0, 0
+    sql = f"SELECT {EVENT}, digest FROM events ORDER BY rowid"  # noqa: S608  ours
     with contextlib.suppress(sqlite3.DatabaseError):
-        for row in former.execute(sql):
-            if isinstance(row[1], int) and row[1] >= generations:
-                return
-            yield row
+        for number, at, generation, *of, written in former.execute(sql):
+            damaged += number - last - 1
+            last = number
+            if of_row(number, at, generation, *of) != written:
+                damaged += 1
+            elif generation is None or generation < generations or of[0] in KEPT:
+                before = None if generation is None else min(generation, generations)
+                row = (len(kept) + 1, at, before, *of)
+                kept.append((*row, of_row(*row)))
+    _add(new, "events", f"{EVENT}, digest", kept)
+    return damaged
 
 
 def _add(new: sqlite3.Connection, table: str, columns: str, rows: Iterable[Any]) -> None:

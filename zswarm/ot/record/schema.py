@@ -11,7 +11,7 @@ from zswarm.errors import ConfigError
 from zswarm.system.text import clean
 from zswarm.system.version import VERSION
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 ASSESSMENT = 1_000_000_000  # in place of a generation, after the last that a run can have
 OF_THE_END = (
     "history_hash",
@@ -37,7 +37,7 @@ CREATE TABLE outcomes (
     digest INTEGER NOT NULL);
 CREATE TABLE events (
     at REAL NOT NULL, generation INTEGER, event TEXT NOT NULL, server TEXT, text TEXT,
-    count INTEGER);
+    count INTEGER, machine TEXT, digest INTEGER NOT NULL);
 CREATE TABLE optimizer (
     part INTEGER NOT NULL, piece INTEGER NOT NULL, generation INTEGER NOT NULL, state BLOB NOT NULL,
     digest INTEGER NOT NULL, PRIMARY KEY (part, piece));

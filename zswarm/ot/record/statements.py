@@ -16,8 +16,8 @@ from zswarm.ot.workload import Workload
 SET_META = "INSERT OR REPLACE INTO meta VALUES (?, ?)"
 ADD_OUTCOMES = f"INSERT OR REPLACE INTO outcomes VALUES ({', '.join('?' * 15)})"  # noqa: S608  ours
 ADD_EVENT = (
-    "INSERT OR REPLACE INTO events (rowid, at, generation, event, server, text, count) "
-    "VALUES (?, ?, ?, ?, ?, ?, ?)"
+    "INSERT OR REPLACE INTO events (rowid, at, generation, event, server, text, count, machine, "
+    "digest) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
 )
 ADD_CANDIDATES = "INSERT OR REPLACE INTO candidates VALUES "
 # Of six values; every SQLite takes 999 parameters in a statement.
@@ -74,8 +74,9 @@ def games(workload: Workload, trials: np.ndarray) -> bytes | None:
 
 def event(note: Note, row: int, generation: int | None, at: float) -> Statement:
     """Return what adds an event."""
-    values = (row, at, generation, note.event, note.server, note.text, note.count)
-    return ADD_EVENT, values
+    of = (str(note.event), note.server, note.text, note.count, note.machine)
+    values = (row, at, generation, *of)
+    return ADD_EVENT, (*values, of_row(*values))
 
 
 def candidates(

@@ -10,10 +10,12 @@ from zswarm.errors import ConfigError
 from zswarm.ot.record.database import outage
 from zswarm.ot.record.digests import (
     CANDIDATE,
+    EVENT,
     GENERATION,
     OUTCOMES,
     Damage,
     check_candidates,
+    check_event,
     check_generation,
     check_meta,
     check_outcomes,
@@ -99,6 +101,8 @@ def check_record(connection: sqlite3.Connection) -> None:
     if damaged:
         raise Damage(damaged, count)
     _check_state(connection, count)
+    for _ in whole_events(connection):
+        pass
     state = str(connection.execute("PRAGMA quick_check").fetchone()[0])
     if state != "ok":
         first = state.removeprefix("*** in database main ***\n").partition("\n")[0]
@@ -174,6 +178,20 @@ def whole_outcomes(
     if ended is not None and total(found) != ended[7]:
         raise Damage("outcomes of its trials are missing", generation)
     return rows
+
+
+def whole_events(connection: sqlite3.Connection) -> Iterator[tuple[Any, ...]]:
+    """Yield the columns ``EVENT`` of all events, in order.
+
+    Raises:
+        Damage: one is not what was written, or missing between others.
+    """
+    (count,) = connection.execute("SELECT count(*) FROM generations").fetchone()
+    sql = f"SELECT {EVENT}, digest FROM events ORDER BY rowid"  # noqa: S608  ours
+    rows = _read(connection, sql, lambda _: count, count)
+    for number, (*row, written) in enumerate(rows, 1):
+        check_event(number, row, written, count)
+        yield tuple(row)
 
 
 def _generation(connection: sqlite3.Connection, number: int) -> tuple[Any, ...] | None:

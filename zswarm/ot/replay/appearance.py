@@ -33,8 +33,9 @@ KNOWN = {
     "^opponents' flag": "flag-2",
     "wall|blockade|track|^rod$": "wall",
     "exit|goal|right": "exit",
-    "nest|home": "home",
-    "flag's stand|^light$": "flag",
+    "nest|home|white floor": "home",
+    "black floor": "c8",
+    "flag's stand|^light$|^lamp$": "flag",
     "wrong|too much": "c2",
     "too little": "c1",
 }

@@ -28,6 +28,7 @@ TEMPLATE = "report.html.jinja"
 MAX_EVENTS = 1000  # that are listed
 TROUBLE = (
     RunEvent.SERVER_WRONG,
+    RunEvent.SERVER_BANNED,
     RunEvent.SERVER_FAULTY,
     RunEvent.FAULT,
     RunEvent.SIMULATOR_RAISED,
@@ -85,6 +86,7 @@ def of_run(run: Run, trials: int) -> str:
         folder=shlex.quote(run.name),
         again=shlex.quote(f"{run.name}/{EXPERIMENT}"),
         history=run.history_hash or "",
+        history_version=run.history_version,
         caveats=caveats.caveats(run),
         **parts,
     )

@@ -1,0 +1,218 @@
+"""Simulate e-puck robots on the field's published missions."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+
+from zswarm.config.meta import PartSettings, about, within
+from zswarm.kernels.portable import PI
+from zswarm.sims.epuck import missions, trial
+from zswarm.sims.epuck.contacts import CONTACT_COLUMNS
+from zswarm.sims.epuck.grey_readings import GREYS
+from zswarm.sims.epuck.missions import MISSIONS, Mission
+from zswarm.sims.epuck.reference_models import SENSOR_NAMES
+from zswarm.sims.epuck.world import (
+    ANGLE,
+    BLACK,
+    CARRIES,
+    COUNTS,
+    DISC,
+    MEMORY,
+    RADIUS,
+    ROBOT_ROWS,
+    STEP_S,
+    VOTES,
+    EpuckWorld,
+    X,
+    Y,
+    unit_vectors,
+)
+from zswarm.sims.simulator import Body, Frame, Line, Rectangle
+from zswarm.sims.trial import Teams, play_many, problem
+
+MODELS = {"1.1": 1, "1.2": 2}
+# Noise of wheels, proximity, light and ground, and the probability that a message is lost.
+REALITIES = {
+    "design": (0.05, 0.05, 0.05, 0.05, 0.85),
+    "pseudo": (0.15, 0.05, 0.9, 0.05, 0.9),
+    "exact": (0.0, 0.0, 0.0, 0.0, 0.0),
+}
+# The dodecagon: centres and angles in degrees of its walls, of .01 x .66 m.
+DODECAGON = [
+    (-1.231, 0.0, 0), (1.231, 0.0, 0), (0.0, 1.231, 90), (0.0, -1.231, 90),
+    (-0.615, -1.066, 60), (-1.066, -0.615, 30), (0.615, 1.066, 60), (1.066, 0.615, 30),
+    (-0.615, 1.066, -60), (-1.066, 0.615, -30), (0.615, -1.066, -60), (1.066, -0.615, -30),
+]  # fmt: skip
+HALF_THICKNESS, HALF_WALL, WALL_TOP = 0.005, 0.33, 0.08  # m
+FREE = 1.225  # m, the radius of a disc that fits in
+PLACING = 1.2  # m, the radius of the disc in which robots start
+HALF_SIDE = 1.25  # m, of pictures
+
+
+class EpuckSettings(PartSettings, frozen=True):
+    """Settings of ``[problem.settings]``."""
+
+    mission: Annotated[
+        Literal[
+            "aggregation",
+            "foraging",
+            "grid-exploration",
+            "aac",
+            "sca",
+            "spc",
+            "lcn",
+            "cfa",
+            "cfa-corrected",
+        ],
+        about("mission of the robots"),
+    ] = "aggregation"
+    reference_model: Annotated[
+        Literal["1.1", "1.2"], about("what controllers see: 24 inputs, or 14")
+    ] = "1.2"
+    reality: Annotated[
+        Literal["design", "pseudo", "exact"],
+        about("noise: that of design, of the published pseudo-reality, or none"),
+    ] = "design"
+    robots: Annotated[int, within(1, 100, "robots")] = 20
+    seconds: Annotated[
+        float,
+        within(0, 100_000, "s, duration of a trial; 0: that of the published mission"),
+    ] = 0.0
+
+
+class Epuck(Teams):
+    """Simulate e-puck robots in a dodecagonal arena, on the published missions of the field.
+
+    Robots, physics, sensors, noise and missions are those of ARGoS3 with the e-puck plug-in;
+    docs/epuck.md has the equations and compares controllers in both.
+
+    Observation: reference model 1.2: 0-3: proximity to the front left, back left, back right and
+        front right; 4-7: light, likewise; 8: ground, 0 black, 1 white, in between grey; 9: 1 - 2 /
+        (1 + e^n) for n messages heard; 10-13: attraction to neighbours, as 0-3. Model 1.1: 0-7:
+        proximity readings, 8-15: light readings, 16-18: ground, 19-23: as 9-13.
+    Action: 0-1: left and right wheel, 0 is -12 cm/s and 1 is 12 cm/s.
+    Turns: all robots at once, ten a second. A command takes effect in the next step.
+    Start: places uniform in radius and angle in the disc of radius 1.2 m, headings uniform.
+    End: after the duration of the mission.
+    Fitness: aggregation, aac: robots in the black spot, summed over steps. foraging: deliveries.
+        grid-exploration: minus the mean over 100 cells of the steps since the last visit, summed
+        over steps. sca: robots in the shelter, summed over steps. spc: minus the mean distances
+        of the square's area and the circle's line to robots, weighted. lcn: m^2 that the largest
+        connected group covers. cfa: 250 - 100 x the mean distance in m of the floor to robots that
+        are not on black, with the published code's wrong mean; cfa-corrected: with the right one.
+    """
+
+    settings_type = EpuckSettings
+    settings: EpuckSettings
+    actuators = "left", "right"
+    outputs = 2
+
+    def __init__(self, settings: EpuckSettings) -> None:
+        super().__init__(settings)
+        model = MODELS[settings.reference_model]
+        self.sensors = SENSOR_NAMES[model]
+        self.inputs = len(self.sensors)
+        self.owners = (0,) * settings.robots
+        mission = MISSIONS[settings.mission]
+        self._mission = mission
+        walls = _walls(mission)
+        number = settings.robots
+        pairs = number * (number + len(walls))
+        seconds = settings.seconds or mission.seconds
+        self.world = EpuckWorld(
+            mission=missions.NAMES.index(settings.mission),
+            steps=max(1, round(seconds / STEP_S)),
+            number=number,
+            model=model,
+            outer_walls=len(DODECAGON),
+            free=FREE,
+            hearing=mission.hearing,
+            placing=PLACING,
+            noise=np.array(REALITIES[settings.reality]),
+            lamp=np.array(mission.lamp),
+            walls=walls,
+            floor=np.array(mission.floor, np.float64).reshape(-1, 6),
+            greys=GREYS,
+            robots=np.zeros((ROBOT_ROWS, number)),
+            messages=np.zeros((number, 2 * MEMORY)),
+            votes=np.zeros((number, 2 * VOTES)),
+            pairs=np.zeros(pairs, np.int64),
+            contacts=np.zeros((pairs + 1, CONTACT_COLUMNS)),
+            impulses=np.zeros((pairs, 2)),
+            touched=np.zeros(pairs, np.int64),
+            groups=np.zeros(number, np.int64),
+            members=np.zeros(number + pairs, np.int64),
+            cells=np.zeros(missions.CELLS**2),
+            tally=np.zeros(1),
+            counts=np.zeros(COUNTS, np.int64),
+            stream=np.zeros(1, np.uint64),
+        )
+
+    def frame(self) -> Frame:
+        """Return the arena from above, y upwards in the world and downwards in the picture."""
+        world = self.world
+        bodies = []
+        for robot in range(world.number):
+            x, y, angle = world.robots[[X, Y, ANGLE], robot].tolist()
+            carries = (
+                MISSIONS["foraging"] is self._mission and world.robots[CARRIES, robot]
+            )
+            kind = "robot with an object" if carries else "robot"
+            heading = float(-angle)
+            bodies.append(Body(kind, HALF_SIDE + x, HALF_SIDE - y, RADIUS, heading))
+        places = []
+        for shape, x, y, half_x, half_y, grey in self._mission.floor:
+            kind = "black floor" if grey == BLACK else "white floor"
+            if shape == DISC:
+                bodies.append(Body(kind, HALF_SIDE + x, HALF_SIDE - y, half_x))
+            else:
+                left, right = max(x - half_x, -HALF_SIDE), min(x + half_x, HALF_SIDE)
+                low, high = max(y - half_y, -HALF_SIDE), min(y + half_y, HALF_SIDE)
+                places.append(
+                    Rectangle(
+                        *(kind, HALF_SIDE + left, HALF_SIDE - high),
+                        *(right - left, high - low),
+                    )
+                )
+        if self._mission.lamp[-1] > 0.0:
+            x, y, _, _ = self._mission.lamp
+            bodies.append(Body("lamp", HALF_SIDE + x, HALF_SIDE - y, RADIUS / 2))
+        lines = []
+        for x, y, cosine, sine, half_x, half_y, _ in world.walls.tolist():
+            # The longer middle line of the box.
+            dx, dy = (cosine * half_x, sine * half_x)
+            if half_y > half_x:
+                dx, dy = (-sine * half_y, cosine * half_y)
+            lines.append(
+                Line(
+                    *("wall", HALF_SIDE + x - dx, HALF_SIDE - y + dy),
+                    *(HALF_SIDE + x + dx, HALF_SIDE - y - dy),
+                )
+            )
+        return Frame(2 * HALF_SIDE, 2 * HALF_SIDE, places, bodies, lines)
+
+
+def _walls(mission: Mission) -> np.ndarray:
+    """Return (walls, WALL_COLUMNS): the dodecagon, then what is inside."""
+    cosines, sines = unit_vectors([degrees * PI / 180 for _, _, degrees in DODECAGON])
+    rows = [
+        [x, y, cosine, sine, HALF_THICKNESS, HALF_WALL, WALL_TOP]
+        for (x, y, _), cosine, sine in zip(DODECAGON, cosines, sines, strict=True)
+    ]
+    rows += [
+        [x, y, 1.0, 0.0, half_x, half_y, WALL_TOP]
+        for x, y, half_x, half_y in mission.walls
+    ]
+    return np.array(rows, np.float64)
+
+
+Epuck.problem = problem(
+    "play_epuck",
+    trial.start,
+    trial.observe,
+    trial.act,
+    trial.is_over,
+    missions.judge,
+    world=EpuckWorld,
+    loop=play_many,
+)

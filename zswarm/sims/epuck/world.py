@@ -1,0 +1,102 @@
+"""Define the state of a trial with e-puck robots, and the constants of the robot.
+
+Lengths are in m, angles in radians, counterclockwise, and all numbers are float64. Constants that
+the reference model stores as C floats have the value of the float.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from zswarm.kernels.jit import interpreted
+from zswarm.kernels.portable import cos, sin
+from zswarm.kernels.signatures import Float64Rows, Float64s, Int64s, UInt64s
+
+STEP_S = 0.1  # a controller decides once in each
+RADIUS = float(np.float32(0.035))
+MASS = float(np.float32(0.4))  # kg
+WHEEL_DISTANCE = float(np.float32(0.053))
+ROBOT_HEIGHT = 0.076
+
+# ``robots``: a row for each; velocities in m/s and rad/s.
+X, Y, ANGLE, COSINE, SINE, SPEED_X, SPEED_Y, SPIN = range(8)
+# The target velocity of this step, and the impulses of the motors in the last substep.
+TARGET_X, TARGET_Y, TARGET_SPIN, PUSH_X, PUSH_Y, PUSH_SPIN = range(8, 14)
+LEFT, RIGHT = range(14, 16)  # commands for the next step, m/s
+PROXIMITY, LIGHT, GROUND = (
+    16,
+    24,
+    32,
+)  # 8, 8 and 3 readings: right, centre and left of the floor
+HEARD, HEARD_X, HEARD_Y = range(
+    35, 38
+)  # messages of this step, and the sum of their vectors
+CARRIES, TOUCHES = range(38, 40)
+ROBOT_ROWS = 40
+
+# ``walls``: boxes, a row for each.
+CENTRE_X, CENTRE_Y, WALL_COSINE, WALL_SINE, HALF_LENGTH, HALF_WIDTH, WALL_HEIGHT = range(
+    7
+)
+WALL_COLUMNS = 7
+
+# ``floor``: discs and rectangles, a row for each; the first that contains a point gives its grey.
+SHAPE, PLACE_X, PLACE_Y, SIZE_X, SIZE_Y, GREY = range(6)
+DISC, RECTANGLE = range(2)
+BLACK, WHITE = 0.0, 1.0
+MIDDLE_GREY = 127 / 255
+
+# ``noise``.
+WHEEL_NOISE, PROXIMITY_NOISE, LIGHT_NOISE, GROUND_NOISE, LOSS = range(5)
+
+# ``lamp``: its place and intensity.
+LAMP_X, LAMP_Y, LAMP_Z, INTENSITY = range(4)
+
+# ``counts``: of the trial.
+STEP_NUMBER, SUBSTEP = range(2)
+COUNTS = 2
+
+MEMORY = 11  # steps for which a robot remembers messages
+VOTES = 5  # steps for which it remembers the floor
+
+
+class EpuckWorld(NamedTuple):
+    """The settings of a problem, and the state of a trial."""
+
+    mission: int
+    steps: int
+    number: int  # of robots
+    model: int  # reference model: 1 for 1.1, 2 for 1.2
+    outer_walls: (
+        int  # the first of ``walls``, which hide nothing because the arena is convex
+    )
+    free: float  # m, the radius of the disc around the middle without outer walls
+    hearing: float  # m, the range of messages
+    placing: float  # m, the radius of the disc in which robots start
+    noise: Float64s
+    lamp: Float64s
+    walls: Float64Rows
+    floor: Float64Rows
+    greys: Float64Rows  # (3, quantiles) recorded readings of a grey floor
+    robots: Float64Rows  # (ROBOT_ROWS, robots)
+    messages: Float64Rows  # (robots, 2 MEMORY) sums of vectors by step
+    votes: Float64Rows  # (robots, 2 VOTES) black and white readings by step
+    pairs: Int64s  # that may touch in this step: robot * (robots + walls) + robot or wall
+    contacts: Float64Rows  # that touch in this substep, see ``contacts``
+    impulses: Float64Rows  # (pairs, 2) along and across the normal
+    touched: Int64s  # (pairs,) the last substep of a contact
+    groups: Int64s  # (robots,) the first robot of those that touch each other
+    members: Int64s  # (robots + pairs,) the robots and the contacts of such a group
+    cells: Float64s  # counters of grid exploration
+    tally: Float64s
+    counts: Int64s
+    stream: UInt64s
+
+
+def unit_vectors(angles: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cosines and the sines of angles, without loading the compiler."""
+    with interpreted():
+        return np.array([cos(one) for one in angles]), np.array(
+            [sin(one) for one in angles]
+        )
