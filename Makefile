@@ -5,8 +5,9 @@ READY := .venv/ready
 TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neighbours share what they compare with
 
 KILLS ?= 200
+THIRD_PARTY ?= ../shared/third-party
 
-.PHONY: run test long attacks programs product vmas browser robots rest chaos faults machines units kills bits-everywhere lint format docs docs-commands reference bench bench-quick bench-methods benchmarks paper scale soak clean
+.PHONY: run test long attacks programs product vmas browser robots rest chaos faults machines units kills stage bits-everywhere lint format docs docs-commands reference bench bench-quick bench-methods benchmarks paper scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -59,6 +60,13 @@ faults: $(READY)
 # docs/deploy.md on systems that are booted for it: root, systemd-nspawn.
 machines: $(READY)
 	$(BIN)/python -m pytest -m machines tests/integration/test_machines.py $(ARGS)
+
+# The real Stage, built where its sources are beside the checkout; its tests are skipped where they are not.
+stage: $(READY)
+	@if [ ! -e $(THIRD_PARTY)/stage-4.3.tar.xz ]; then echo "Stage is not built: no sources in $(THIRD_PARTY)"; \
+	elif ! command -v cmake g++ fluid catkin_make >/dev/null; then echo "Stage is not built: cmake, g++, fluid or catkin is missing"; \
+	else $(MAKE) --no-print-directory build/stage/ready; fi
+	$(BIN)/python -m pytest -m stage tests/ros/stage $(ARGS)
 
 # What systemd says of the units.
 units: $(READY)
@@ -145,6 +153,11 @@ build/ros2/ready: Makefile
 	    ros-kilted-geometry-msgs==5.5.1 ros-kilted-sensor-msgs==5.5.1 ros-kilted-nav-msgs==5.5.1 ros-kilted-rosgraph-msgs==2.3.0 \
 	    || { rm -rf build/ros2; exit 1; }
 	@touch $@
+
+# Stage, stageros and our controllers for them: a minute of computing.
+build/stage/ready: tests/ros/stage/build.sh examples/ros/stage/throttle.cc examples/ros/stage/lockstep.cc
+	@mkdir -p build
+	tests/ros/stage/build.sh $(THIRD_PARTY) build/stage > build/stage.log 2>&1 || { tail -n 5 build/stage.log; rm -rf build/stage; exit 1; }
 
 # Each peer by itself; what pip said of one that cannot be installed is shown in its place, and it is tried again next time.
 build/peers/ready: pyproject.toml benchmarks/requirements.txt

@@ -76,7 +76,7 @@ robots.profiles:    BASE
 ros.launch:         BASE controller kernels plugins robots robots.c ros.link sims sims.foreign
 ros.link:           BASE robots.profiles ros.link.bridges
 ros.link.bridges:   BASE ros.link
-ros.simulation:     BASE kernels plugins robots.profiles ros.link ros.link.bridges sims
+ros.simulation:     BASE kernels plugins robots.profiles ros.launch ros.link ros.link.bridges sims
 ss:                 BASE plugins protocol security session ss.local ss.slots ss.workers
 ss.local:           BASE ss.slots ss.workers
 ss.slots:           errors protocol

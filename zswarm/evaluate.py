@@ -189,11 +189,12 @@ def evaluate(
     expected = len(seeds), simulator.participants
     if participants.shape != expected:
         raise ValueError(f"participants must be {expected}, not {participants.shape}")
-    if ((participants < 0) | (participants >= len(genomes))).any():
+    if len(seeds) and not 0 <= participants.min() <= participants.max() < len(genomes):
         raise ValueError(f"a participant is not among the {len(genomes)} genomes")
-    parameters = np.empty((len(genomes), 0), np.float32)
     if remote is None and len(seeds):
         parameters = representation.parameters(genomes)
+    else:
+        parameters = np.empty((len(genomes), 0), np.float32)
     batch = KernelBatch(
         state_size=representation.state_size,
         parameters=parameters,
@@ -215,19 +216,19 @@ def evaluate(
 
 def _play_alike(trials: _Assignment) -> _Played:
     """Play trials of one simulator, in its kernel or each alone."""
-    batch, fitness, metrics = trials.batch, trials.batch.fitness, trials.batch.metrics
+    batch = trials.batch
     played = _play_batch(trials) or _play_each(trials)
-    error = played.error
-    failed = np.flatnonzero(~np.isfinite(fitness[: played.trials]).all(axis=1))
-    if not error and len(failed) and not batch.progress[1]:
-        first = int(failed[0])
-        broken = BrokenContractError(
-            f"fitness must be finite, not {fitness[first].tolist()}"
-        )
-        error = error_text(trials.simulator, batch.seeds[first], broken)
-    fitness[~np.isfinite(fitness)] = np.nan
-    metrics[~np.isfinite(metrics)] = np.nan
-    return played._replace(error=error)
+    finite = np.isfinite(batch.fitness)
+    if not finite.all():
+        failed = np.flatnonzero(~finite[: played.trials].all(axis=1))
+        if len(failed) and not played.error and not batch.progress[1]:
+            numbers = batch.fitness[failed[0]].tolist()
+            broken = BrokenContractError(f"fitness must be finite, not {numbers}")
+            error = error_text(trials.simulator, batch.seeds[failed[0]], broken)
+            played = played._replace(error=error)
+        batch.fitness[~finite] = np.nan
+    batch.metrics[~np.isfinite(batch.metrics)] = np.nan
+    return played
 
 
 def _play_batch(trials: _Assignment) -> _Played | None:

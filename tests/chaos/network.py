@@ -36,9 +36,8 @@ class Link:
         self.state: State = "up"
         self.breaks = 0  # messages in transit then are lost
         self.open: dict[int, str] = {}  # questions
-        server.links[f"{optimizer.run} {optimizer.epoch}"] = optimizer.links[
-            server.id
-        ] = self
+        server.links[f"{optimizer.name} {optimizer.epoch}"] = self
+        optimizer.links[server.id] = self
         self._meet()
 
     def _meet(self) -> None:
@@ -67,7 +66,7 @@ class Link:
         if state in ("up", "slow") and self.state in ("up", "slow"):
             self.state = state
             return
-        world.tell(self.server.id, self.optimizer.run, "link is", state)
+        world.tell(self.server.id, self.optimizer.name, "link is", state)
         self.state, self.breaks = state, self.breaks + 1
         if state in ("up", "slow"):
             if not self.optimizer.ended:
@@ -83,7 +82,8 @@ class Link:
                 world.at(delay, lambda question=question: self._arrive(question, None))
 
     def _holder(self, *, alive: bool) -> None:
-        self.server.handle(events.HolderAlive("user", self.optimizer.run, alive))
+        optimizer = self.optimizer
+        self.server.handle(events.HolderAlive(optimizer.user, optimizer.run, alive))
 
     def undeclare(self) -> None:
         """Undeclare the server's token."""

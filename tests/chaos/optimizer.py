@@ -13,6 +13,7 @@ from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.record.history_hash import History
 from zswarm.protocol import messages
 
+from .awaited import Awaited
 from .network import Link
 from .problem import Experiment, outcome
 from .server import LIAR, PROBE, TRIAL_TIMEOUT_S, WRONG
@@ -60,19 +61,20 @@ class Optimizer(Node[events.Event]):
         experiment: Experiment,
         *,
         verify: float,
+        user: str = "ada",
+        breeds_s: float = 0.0,
         epoch: int = 0,
         journal: Journal | None = None,
     ) -> None:
         super().__init__(world)
-        self.experiment, self.run, self.epoch, self.verify = (
-            experiment,
-            experiment.name,
-            epoch,
-            verify,
-        )
+        self.experiment, self.user, self.run = experiment, user, experiment.name
+        self.epoch, self.verify, self.breeds_s = epoch, verify, breeds_s
+        self.name = f"{self.user}/{self.run}"
         self.nonce = world.random.randbytes(16)
         self.journal = journal or Journal()
         self.links: dict[str, Link] = {}  # by server
+        self.awaited = Awaited()
+        self.paused = False
         self.left = False  # it is done
         self.superseded = False  # another one has resumed its run
         self.progressed_at = self.unserved_at = world.now
@@ -138,14 +140,20 @@ class Optimizer(Node[events.Event]):
         world = self.world
         if not isinstance(event, events.TimePassed):
             world.tell(
-                self.run, self.epoch, "Work" if isinstance(event, events.Work) else event
+                self.name, self.epoch, "Work" if isinstance(event, events.Work) else event
             )
         commands = self.dispatch.handle(event, self.clock())
+        if isinstance(event, events.Answered):
+            self.awaited.answered(event)
         if (held := self._slots_held()) > self.max_slots:
-            world.fail(f"{self.run} holds or asks for {held} slots of {self.max_slots}")
+            world.fail(f"{self.name} holds or asks for {held} slots of {self.max_slots}")
+        leased = self.dispatch.servers.roster.leased.values()
+        if self.paused and any(server.slots for server in leased):
+            world.fail(f"{self.name} holds slots while it pauses")
         for command in commands:
             match command:
                 case events.Ask():
+                    self.awaited.asked(command)
                     self._check_second(command)
                     self.links[command.server].ask(command.question, command.message)
                 case events.Counted():
@@ -183,7 +191,7 @@ class Optimizer(Node[events.Event]):
                     self._finish()
                 case events.Failed():
                     if "taken over" not in command.reason or not self.superseded:
-                        world.fail(f"{self.run} failed: {command.reason}")
+                        world.fail(f"{self.name} failed: {command.reason}")
                     self.end()
                 case Note():
                     self._know(command)
@@ -270,7 +278,7 @@ class Optimizer(Node[events.Event]):
             (load.genomes, self.experiment.fitness(load.fitness[:, 0]))
         )
         self.journal.counted = []
-        world.at(0.0, lambda: self.when_awake(self._next_generation))
+        world.at(self.breeds_s, lambda: self.when_awake(self._next_generation))
 
     def _leave(self) -> None:
         self.handle(events.Leave())
@@ -283,6 +291,22 @@ class Optimizer(Node[events.Event]):
         for link in self.links.values():
             link.set("down")
 
+    def pause(self, seconds: float) -> None:
+        """Let the run hold no slots for a while."""
+
+        def pauses(paused: bool) -> None:
+            self.paused = paused and not self.left
+            self.progressed_at = self.world.now
+            self.handle(events.Pause(self.paused))
+
+        self.when_awake(lambda: pauses(True))
+        self.world.at(seconds, lambda: self.when_awake(lambda: pauses(False)))
+
+    def stop(self) -> None:
+        """End as after Ctrl-C: release all leases first."""
+        self.handle(events.Leave())
+        self.end()
+
     def resume(self) -> "Optimizer":
         """Start another program that resumes from the record, even if this one still runs."""
         self.superseded = True
@@ -291,6 +315,8 @@ class Optimizer(Node[events.Event]):
             self.world,
             self.experiment,
             verify=self.verify,
+            user=self.user,
+            breeds_s=self.breeds_s,
             epoch=self.epoch + 1,
             journal=journal,
         )
@@ -299,6 +325,8 @@ class Optimizer(Node[events.Event]):
         """Check that every trial is in one place, or in the two that are known to have it."""
         servers, batches = self.dispatch.servers.by_id.values(), self.dispatch.batches
         self._check_pairs()
+        if forgotten := self.awaited.forgotten(self.dispatch):
+            self.world.fail(f"{self.name}: {forgotten}")
         if batches.workload is not None:
             places = [entry.trials for entry in batches.queue.entries]
             places += [
@@ -312,7 +340,7 @@ class Optimizer(Node[events.Event]):
             once = np.array(self._once)
             once[list(batches.second.pairs)] += 1
             if found.tolist() != once.tolist():
-                self.world.fail(f"{self.run}: a trial is lost, or in two places")
+                self.world.fail(f"{self.name}: a trial is lost, or in two places")
         for server in servers:
             if server.batches and server.phase not in (Phase.LEASED, Phase.LEAVING):
                 self.world.fail(f"{server.id} has batches")
@@ -337,4 +365,4 @@ class Optimizer(Node[events.Event]):
                 for batch in pair
             ]
             if not all(there) or pair[0].server is pair[1].server:
-                self.world.fail(f"{self.run}: a second start of trial {trial} is lost")
+                self.world.fail(f"{self.name}: a second start of trial {trial} is lost")

@@ -9,7 +9,7 @@ from zswarm.errors import ZswarmError
 from .network import Link
 from .optimizer import Optimizer
 from .problem import Experiment, Trial
-from .server import DEATHS, Server
+from .server import DEATHS, TRIALS_S, Server
 from .world import BOUND_S, CALM_S, CHAOS_S, END_S, World
 
 LINK_TIMEOUT_S = 8.0
@@ -17,8 +17,12 @@ LASTS_S = [0.1, 0.1, 3.0, 20.0, 70.0]  # faults
 FAULTS = [
     *("down", "mute", "deaf", "slow"),  # a server's link
     *("crash", "drain", "worker", "worker", "freeze", "jump"),  # a server
-    *("end", "takeover", "stop", "leap"),  # an optimizer
+    *("end", "takeover", "stop", "leap", "leave", "pause"),  # an optimizer
 ]
+# Leases end by these.
+ALONE_NEVER = {"crash", "drain", "end", "takeover", "jump", "leave", "pause"}
+USERS = ["ada", "bob", "eve"]
+OF_OPTIMIZERS = {"end", "takeover", "stop", "leap", "leave", "pause"}
 
 
 class End(NamedTuple):
@@ -46,13 +50,18 @@ class Lab:
         self.optimizers: list[Optimizer] = []
         self._deaths: dict[Trial, int] = {}
         self._numbers = itertools.count()
+        self._coming = 0  # runs
+        self._trials_s, self._most = TRIALS_S, 3  # of a trial; slots of a server
         # One server that never ends, for one run: nothing is ever run twice.
         self.alone = draw.random() < 0.15
         # One server computes some trials wrong, and all are verified.
         self.liar = not self.alone and draw.random() < 0.15
         if self.alone:
             self.add_server(sound=True).alone = True
-            self._add_run("run-1")
+            self._add_run("ada", "run-1")
+            return
+        if not self.liar and draw.random() < 0.25:
+            self._crowd()
             return
         self.add_server(sound=self.liar)
         for _ in range(draw.randint(1 if self.liar else 0, 3)):
@@ -60,7 +69,23 @@ class Lab:
         if self.liar:
             self.add_liars()
         for run in ["run-1", "run-2", "run-3"][: draw.randint(1, 3)]:
-            self._add_run(run)
+            self._add_run(draw.choice(USERS), run)
+
+    def _crowd(self) -> None:
+        """Let users with several runs share few slots; they come one after the other."""
+        draw = self.world.random
+        tight = draw.random() < 0.5
+        self._most, self._trials_s = (1, [1.0, 3.0]) if tight else (4, [0.2, 0.8])
+        for _ in range(1 if tight else draw.randint(1, 2)):
+            self.add_server(sound=True)
+        for user in USERS[: draw.randint(2, 3)]:
+            for number in range(1, draw.randint(1, 2 if tight else 3) + 1):
+                self._coming += 1
+                run = f"run-{number}"
+                self.world.at(
+                    draw.choice([0.0, 0.0, 20.0, 40.0]),
+                    lambda user=user, run=run: self._add_run(user, run, busy=True),
+                )
 
     def add_liars(self) -> None:
         """Start the servers of one machine, which tell the same lies."""
@@ -77,6 +102,8 @@ class Lab:
             self._deaths,
             sound=sound,
             lies=lies,
+            trials_s=self._trials_s,
+            most=self._most,
             machine=machine,
         )
         self.servers.append(server)
@@ -85,17 +112,22 @@ class Lab:
                 Link(self.world, server, optimizer)
         return server
 
-    def _add_run(self, name: str) -> None:
+    def _add_run(self, user: str, run: str, *, busy: bool = False) -> None:
+        """Start a run; a busy one has much to evaluate, and breeds for long."""
         draw = self.world.random
+        self._coming -= busy
         experiment = Experiment(
-            name,
+            run,
             draw.getrandbits(32),
-            generations=draw.randint(1, 3),
-            population=draw.randint(2, 8),
-            trials=draw.randint(1, 5),
+            generations=draw.randint(1, 2 if busy else 3),
+            population=8 if busy else draw.randint(2, 8),
+            trials=draw.randint(1, 4 if busy else 5),
         )
         verify = 1.0 if self.liar else draw.choice([0.0, 0.0, 0.2])
-        self.add_optimizer(Optimizer(self.world, experiment, verify=verify))
+        breeds_s = draw.choice([0.0, 0.0, 4.0, 15.0]) if busy else 0.0
+        self.add_optimizer(
+            Optimizer(self.world, experiment, verify=verify, user=user, breeds_s=breeds_s)
+        )
 
     def add_optimizer(self, optimizer: Optimizer) -> None:
         """Start an optimizer."""
@@ -115,18 +147,18 @@ class Lab:
         server = draw.choice(
             [server for server in self.servers if not server.ended] or self.servers
         )
-        optimizer = draw.choice(
-            [optimizer for optimizer in self.optimizers if not optimizer.ended]
-            or self.optimizers
-        )
+        optimizers = [one for one in self.optimizers if not one.ended] or self.optimizers
+        if not optimizers:
+            return
+        optimizer = draw.choice(optimizers)
         fault, lasts_s = draw.choice(FAULTS), draw.choice(LASTS_S)
-        if self.alone and fault in ("crash", "drain", "end", "takeover", "jump"):
+        if self.alone and fault in ALONE_NEVER:
             return
         world.faults += 1
         world.tell(
-            "FAULT", fault, server.id, optimizer.run, optimizer.epoch, f"{lasts_s} s"
+            "FAULT", fault, server.id, optimizer.name, optimizer.epoch, f"{lasts_s} s"
         )
-        if fault in ("end", "takeover", "stop", "leap"):
+        if fault in OF_OPTIMIZERS:
             self._fail_optimizer(fault, optimizer, lasts_s)
         elif not server.ended:
             self._fail_server(fault, server, lasts_s)
@@ -172,8 +204,10 @@ class Lab:
         if optimizer.ended:
             return
         match fault:
-            case "end" if not optimizer.superseded:
-                optimizer.end()
+            case "pause" if not optimizer.paused:
+                optimizer.pause(lasts_s)
+            case "end" | "leave" if not optimizer.superseded:
+                optimizer.stop() if fault == "leave" else optimizer.end()
                 world.at(
                     world.random.uniform(0.1, 40.0),
                     lambda: self.add_optimizer(optimizer.resume()),
@@ -229,7 +263,7 @@ class Lab:
                 and max(optimizer.progressed_at, optimizer.unserved_at)
                 < world.now - BOUND_S
             ):
-                world.fail(f"{optimizer.run} has slots and makes no progress")
+                world.fail(f"{optimizer.name} has slots and makes no progress")
         world.run(END_S, self._done)
         world.run(world.now + 120.0)
         end = self.end()
@@ -244,7 +278,7 @@ class Lab:
         return [optimizer for optimizer in self.optimizers if not optimizer.superseded]
 
     def _done(self) -> bool:
-        return all(
+        return not self._coming and all(
             optimizer.left or (optimizer.superseded and optimizer.ended)
             for optimizer in self.optimizers
         )
@@ -257,15 +291,16 @@ class Lab:
         up = [server for server in self.servers if not server.ended]
         return End(
             world=self.world,
-            runs=sorted({optimizer.run for optimizer in self.optimizers}),
+            runs=sorted({optimizer.name for optimizer in self.optimizers}),
             done=sorted(
-                optimizer.run for optimizer in self._standing() if optimizer.left
+                optimizer.name for optimizer in self._standing() if optimizer.left
             ),
             histories={
-                optimizer.run: optimizer.journal.history() for optimizer in trusted
+                optimizer.name: optimizer.journal.history() for optimizer in trusted
             },
             undisturbed={
-                optimizer.run: optimizer.experiment.undisturbed() for optimizer in trusted
+                optimizer.name: optimizer.experiment.undisturbed()
+                for optimizer in trusted
             },
             slots_taken=sum(len(server.workers) - server.slots.free() for server in up),
             leases=sum(len(server.slots.leases) for server in up),

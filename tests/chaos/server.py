@@ -1,6 +1,7 @@
 """Run the real slot table in a simulated server, with workers that fail."""
 
 import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -8,12 +9,14 @@ from zswarm.protocol import codec, messages
 from zswarm.ss.slots import events
 from zswarm.ss.slots.table import SlotTable
 
+from .fairness import Fairness
 from .network import Link
 from .problem import Trial, outcome, poisonous
 from .world import Node, World
 
 TICK_S = 0.25
 TRIAL_TIMEOUT_S = 20.0
+TRIALS_S = [0.001, 0.03, 0.2, 0.8, 16.0]  # of a trial
 PROBE, WRONG_PROBE = b"p" * 16, b"w" * 16
 WRONG, LIAR = "-wrong", "-liar"  # ends of the ids of servers that are
 # Of a worker by chance at one trial: one fewer than would put it in quarantine.
@@ -31,6 +34,8 @@ class Server(Node[events.Event]):
         *,
         sound: bool,
         lies: float,
+        trials_s: Sequence[float],
+        most: int,
         machine: str = "",
     ) -> None:
         super().__init__(world)
@@ -45,14 +50,15 @@ class Server(Node[events.Event]):
         self.broken = not sound and world.random.random() < 0.05  # cannot be prepared
         # Every third trial ends its process.
         self.faulty = not sound and world.random.random() < 0.05
-        self.trial_s = world.random.choice([0.001, 0.03, 0.2, 0.8, 16.0])
+        self.trial_s = world.random.choice(trials_s)
         self.prepare_deaths = 0
         self.pending: dict[int, tuple[Link, int]] = {}  # queries to answer
         # Lease, batch, trials.
         self.ran: set[tuple[bytes, int, tuple[Trial, ...]]] = set()
+        self.fairness = Fairness()
         self.alone = False  # the only server of the world, for one run
         self.finished: set[tuple[bytes, Trial]] = set()  # trials by lease
-        capacity = world.random.randint(1, 3)
+        capacity = world.random.randint(1, most)
         offer = messages.Offer(
             server=self.id,
             program="",
@@ -96,7 +102,8 @@ class Server(Node[events.Event]):
             for lease in self.slots.leases.values()
         ):
             self.world.fail(f"{self.id}: a lease is used by two")
-        self.handle(events.Asked(query, "user", link.optimizer.run, message))
+        sender = link.optimizer
+        self.handle(events.Asked(query, sender.user, sender.run, message))
 
     def react(self, event: events.Event) -> None:
         """Give the slot table an event and execute its commands."""
@@ -135,6 +142,8 @@ class Server(Node[events.Event]):
             return
         self._ticking = False
         if self.slots.busy() or self.slots.draining:
+            if broken := self.fairness.passed(self.slots, TICK_S):
+                self.world.fail(f"{self.id}: {broken}")
             self.handle(events.Tick(tuple(worker.progress() for worker in self.workers)))
 
     def _check(self) -> None:
@@ -155,6 +164,10 @@ class Server(Node[events.Event]):
                 self.world.fail(
                     f"{self.id}: slot {slot.index} is {state}, its worker not"
                 )
+        begun = [worker.since for worker in self.workers]
+        broken = self.fairness.broken(self.slots, self.world.now, self.clock(), begun)
+        if broken:
+            self.world.fail(f"{self.id}: {broken}")
 
     def disappear(self) -> None:
         """Remove its links for good."""

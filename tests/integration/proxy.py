@@ -1,6 +1,7 @@
-"""A TCP proxy in user space: a slow link between two programs, that can be reset."""
+"""A TCP proxy in user space: a slow or long link between two programs, that can be reset."""
 
 import contextlib
+import queue
 import socket
 import struct
 import threading
@@ -14,11 +15,18 @@ RESET = struct.pack("ii", 1, 0)  # closing sends RST
 
 
 class Proxy:
-    """Forward ``endpoint`` to ``target``, each direction of a connection at ``rate`` bytes/s."""
+    """Forward ``endpoint`` to ``target``.
 
-    def __init__(self, target: str, rate: float = float("inf")) -> None:
+    Args:
+        rate: bytes/s of each direction of a connection.
+        delay_s: that all bytes are later there.
+    """
+
+    def __init__(
+        self, target: str, rate: float = float("inf"), delay_s: float = 0.0
+    ) -> None:
         host, port = target.removeprefix("tcp/").split(":")
-        self._target, self._rate = (host, int(port)), rate
+        self._target, self._rate, self._delay_s = (host, int(port)), rate, delay_s
         self._listener = socket.create_server(("127.0.0.1", 0), backlog=8)
         # Inherited by what it accepts.
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
@@ -77,16 +85,37 @@ class Proxy:
     def _forward(
         self, source: socket.socket, sink: socket.socket, *, back: bool = False
     ) -> None:
+        late: queue.SimpleQueue[tuple[float, bytes]] = queue.SimpleQueue()
+        writer = threading.Thread(target=_write, args=(late, sink), daemon=True)
+        if self._delay_s:
+            writer.start()
         due = time.monotonic()
         with contextlib.suppress(OSError):
             while data := source.recv(CHUNK):
-                sink.sendall(data)
+                if self._delay_s:
+                    late.put((time.monotonic() + self._delay_s, data))
+                else:
+                    sink.sendall(data)
                 if back:
                     self.back += len(data)
                 else:
                     self.there += len(data)
                 due = max(due, time.monotonic()) + len(data) / self._rate
                 time.sleep(max(0.0, due - time.monotonic()))
+        if self._delay_s:
+            late.put((0.0, b""))
+            writer.join()
         for end in (source, sink):
             with contextlib.suppress(OSError):
                 end.shutdown(socket.SHUT_RDWR)
+
+
+def _write(late: queue.SimpleQueue[tuple[float, bytes]], sink: socket.socket) -> None:
+    """Write data, each when it is due, until there is none."""
+    with contextlib.suppress(OSError):
+        while True:
+            due, data = late.get()
+            if not data:
+                return
+            time.sleep(max(0.0, due - time.monotonic()))
+            sink.sendall(data)

@@ -29,7 +29,13 @@ local_slots = 2
 multicast = false
 """
 ROWS = "SELECT id, generation, trials, fitness, server, at FROM outcomes ORDER BY id"
+STUDY = """
+[study]
+repeat = 2
+at_once = 2
+"""
 KILLS = 15
+INTERRUPTED = {"run": 10, "study": 3}  # times
 SNAPSHOTS = 8
 
 Mount = Callable[..., Path]
@@ -222,6 +228,63 @@ def test_a_run_that_waits_for_disk_space_can_be_stopped_and_resumed(
     )
     assert query(at, ROWS)[: len(rows)] == rows
     check_run(at)
+
+
+@pytest.mark.parametrize("what", ["run", "study"])
+def test_ctrl_c_ends_a_run_that_waits_for_disk_space(
+    tmp_path: Path, undisturbed: Path, mount: Mount, what: str
+) -> None:
+    """At whatever it is then: many times, a bit later each time."""
+    disk = tmpfs(mount)
+    if what == "study":
+        file = evacuation.write(tmp_path, "on-disk", STEPS, CLUSTER + STUDY)
+        start(tmp_path, "run", "run", file, "--out", "disk", "--json")
+    else:
+        run(tmp_path, "--out", "disk")
+    folder = disk / "on-disk"
+    at = folder / "seed-3" if what == "study" else folder
+    for number in range(INTERRUPTED[what]):
+        optimizer = STARTED[-1]
+        before = counted(at)
+        wait_until(lambda before=before: counted(at) > before, "some trials are counted")
+        ballast = fill(disk)
+        wait_until(lambda o=optimizer: said(o, "waiting for room"), "it waits for room")
+        time.sleep(number * 0.13)
+        optimizer.kill(signal.SIGINT)
+        assert optimizer.wait() == 130, optimizer.err.read_text()
+        ballast.unlink()
+        assert said(optimizer, "Traceback") == 0
+        assert said(optimizer, "Resume with: zswarm-ot resume disk/on-disk") == 1
+        resume(tmp_path, Path("disk", "on-disk"), name=f"resumed-{number}")
+    done = STARTED[-1].done()
+    if what == "study":
+        assert done["finished"] == 2
+    else:
+        assert done["history_hash"] == check_run(undisturbed).history_hash
+    check_run(at)
+
+
+def test_a_run_in_the_background_that_waits_for_disk_space_ends_by_sigterm(
+    tmp_path: Path, undisturbed: Path, mount: Mount
+) -> None:
+    """What a script starts with & has SIGINT ignored, as a shell arranges it."""
+    disk = tmpfs(mount)
+    file = evacuation.write(tmp_path, "on-disk", STEPS, CLUSTER)
+    background = ["env", "--ignore-signal=INT"]
+    arguments = ["run", file, "--out", "disk", "--json"]
+    STARTED.append(optimizer := Optimizer(tmp_path, "run", arguments, background))
+    at = disk / "on-disk"
+    wait_until(lambda: counted(at) > 100, "some trials are counted")
+    ballast = fill(disk)
+    wait_until_said(optimizer, "waiting for room")
+    optimizer.kill(signal.SIGINT)
+    optimizer.kill(signal.SIGTERM)
+    assert optimizer.wait() == 143
+    assert said(optimizer, "Resume with: zswarm-ot resume disk/on-disk") == 1
+    ballast.unlink()
+    assert (
+        resume(tmp_path, at).done()["history_hash"] == check_run(undisturbed).history_hash
+    )
 
 
 # ---- failing

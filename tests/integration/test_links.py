@@ -1,6 +1,7 @@
 """A run on links that are cut, reset, slow or stuck has the undisturbed history."""
 
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -157,6 +158,37 @@ def test_a_link_of_20_kilobytes_a_second_is_slow_and_stays(
             assert done["requeued"] == 0
             assert not scene.events("server_left")
             assert not scene.events("server_silent")
+
+
+@pytest.mark.parametrize("hidden", [1, 100])
+def test_a_server_behind_a_long_slow_link_makes_no_run_slower(
+    tmp_path: Path, hidden: int
+) -> None:
+    """Behind 1 Mbit/s and 100 ms: of small genomes it gets some, of 42 kB it cannot help."""
+    size = Size(generations=4, population=40, trials=4, hidden=hidden)
+    took: list[float] = []
+    for far in (False, True):
+        folder = tmp_path / ("both" if far else "alone")
+        folder.mkdir()
+        with Scene(folder, size) as scene:
+            near, pace = scene.server("near", capacity=4)
+            pace.set(0.05)
+            endpoints = [near.endpoint]
+            if far:
+                server, pace = scene.server("far", capacity=4)
+                pace.set(0.05)
+                link = scene.enter(Proxy(server.endpoint, rate=125_000, delay_s=0.1))
+                endpoints.append(link.endpoint)
+            done = scene.optimizer(*endpoints).done()
+            if not far:
+                alone = Undisturbed(done["history_hash"], scene.counted())
+            scene.check(done, alone)
+            times = query(scene.run, "SELECT finished_at FROM generations ORDER BY 1")
+            took.append(times[-1][0] - times[0][0])
+            if far and hidden == 1:
+                assert scene.counted("far") > 0
+    sys.stdout.write(f"\nnear alone: {took[0]:.2f} s, with far: {took[1]:.2f} s\n")
+    assert took[1] <= 1.3 * took[0] + 1.0, "the machine may be busy"
 
 
 def test_four_megabytes_to_a_stopped_server_do_not_delay_others(tmp_path: Path) -> None:

@@ -241,3 +241,32 @@ def test_a_copy_that_is_resumed_takes_over_from_a_stopped_optimizer(
     assert "Traceback" not in old.err.read_text()
     assert kept <= scene.counted() < undisturbed.trials
     scene.check(scene.optimizer(server.endpoint, resume=scene.run).done(), undisturbed)
+
+
+def test_a_second_optimizer_of_a_folder_is_refused_while_the_first_one_lives(
+    scene: Scene, undisturbed: Undisturbed
+) -> None:
+    """Also while it is stopped; of several that follow a killed one, one continues."""
+    server, pace = scene.server("ss")
+    pace.arm()
+    first = scene.optimizer(server.endpoint)
+    pace.held()
+    for stopped in (False, True):
+        if stopped:
+            scene.stop(first.process.pid)
+        second = scene.optimizer(server.endpoint, resume=scene.run)
+        assert second.wait() == 2
+        assert second.err.read_text() == (
+            f"zswarm-ot: {scene.run}: another zswarm-ot is at this run; stop it first\n"
+        )
+        assert second.out.read_text() == ""
+    scene.go_on(first.process.pid)
+    assert first.process.poll() is None
+    first.kill()
+    first.wait()
+    pace.let_go()
+    several = [scene.optimizer(server.endpoint, resume=scene.run) for _ in range(4)]
+    codes = [optimizer.wait() for optimizer in several]
+    assert codes.count(0) >= 1
+    assert set(codes) <= {0, 2}
+    scene.check(several[codes.index(0)].done(), undisturbed)

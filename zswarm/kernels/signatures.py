@@ -34,7 +34,6 @@ def void(*arguments: Any) -> tuple[Any, ...]:
 
 
 # Arrays in C order as fields of a ``NamedTuple``; ``Rows`` have two dimensions.
-Float32s = Annotated[np.ndarray, array(float32)]
 Float32Rows = Annotated[np.ndarray, array(float32, 2)]
 Float64s = Annotated[np.ndarray, array(float64)]
 Float64Rows = Annotated[np.ndarray, array(float64, 2)]

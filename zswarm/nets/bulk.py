@@ -7,7 +7,7 @@ Operators: docs/representations.md.
 """
 
 import functools
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from types import FunctionType
 from typing import Annotated, Any
 
@@ -22,7 +22,7 @@ from zswarm.kernels.portable import to_int
 from zswarm.kernels.random import Stream
 from zswarm.nets.graph import Graph
 from zswarm.nets.representation import Representation
-from zswarm.nets.vector import check_length
+from zswarm.nets.vector import check_lengths
 from zswarm.plugins import registry as plugins
 
 HEADER = 4  # parts, input, numbers of a part's parameters, of its state
@@ -72,11 +72,9 @@ part_step: Step  # of the parts' kind: ``_step_for`` gives it to ``decide``
 
 def decide(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
     """Let the part decide that an input selects."""
-    parts, numbers, numbers_of_state = (
-        int(parameters[0]),
-        int(parameters[2]),
-        int(parameters[3]),
-    )
+    parts = int(parameters[0])
+    numbers = int(parameters[2])
+    numbers_of_state = int(parameters[3])
     part = min(max(to_int(observation[int(parameters[1])] + HALF), 0), parts - 1)
     begin, begin_of_state = HEADER + part * numbers, part * numbers_of_state
     part_step(  # noqa: F821  one of its globals
@@ -90,10 +88,8 @@ def decide(parameters, state, observation, output):  # type: ignore[no-untyped-d
 @functools.cache
 def _step_for(kind: str) -> Any:
     """Return ``decide`` for parts of a kind; a separate name and globals let numba cache it."""
-    name, part_step = (
-        f"decide_{kind.replace('-', '_')}",
-        plugins.load("representation", kind).step,
-    )
+    name = f"decide_{kind.replace('-', '_')}"
+    part_step = plugins.load("representation", kind).step
     function = FunctionType(decide.__code__, {**globals(), "part_step": part_step}, name)
     function.__qualname__ = name
     return kernel(STEP_SIGNATURE)(function)
@@ -178,19 +174,16 @@ class Bulk(Representation):
             ]
         return Graph(nodes, edges)
 
-    def _split(self, genomes: Iterable[bytes]) -> list[bytes]:
+    def _split(self, genomes: Sequence[bytes]) -> list[bytes]:
         """Return the parts of all genomes, in order.
 
         Raises:
             ValueError: a genome has the wrong length.
         """
-        size, parts = self.genome_bytes // self.settings.parts, []
-        for genome in genomes:
-            check_length(genome, self.genome_bytes)
-            parts += [
-                genome[begin : begin + size] for begin in range(0, len(genome), size)
-            ]
-        return parts
+        check_lengths(genomes, self.genome_bytes)
+        size = self.genome_bytes // self.settings.parts
+        begins = range(0, self.genome_bytes, size)
+        return [genome[begin : begin + size] for genome in genomes for begin in begins]
 
     def _join(self, parts: Sequence[bytes]) -> list[bytes]:
         count = self.settings.parts

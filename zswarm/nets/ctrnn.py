@@ -19,6 +19,7 @@ from zswarm.nets.meshed import Meshed, MeshedSettings
 from zswarm.nets.neurons import (
     copy_lanes,
     copy_outputs,
+    padded,
     parameter_rows,
     take,
     weigh,
@@ -71,7 +72,7 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
     inner = HEADER + inputs * row
     biases = inner + neurons * row
     speeds = biases + row
-    weigh(parameters, HEADER, row, observation, 0, inputs, state, from_inputs)
+    weigh(parameters, HEADER, row, observation, state, from_inputs)
     fire(state, firing, parameters, biases, row)
     for _ in range(iterations):
         for first in range(0, row, LANES):  # equation 1
@@ -125,14 +126,17 @@ class CTRNN(Meshed):
         ranges = [settings.weight_range] * sources + [settings.bias_range, 1.0]
         neuron = [(reach, vector.FINE) for reach in ranges]
         super().__init__(settings, inputs, outputs, neuron)
+        self._header = np.array([settings.iterations, self.neurons], np.float32)
         firing = self.state_size // 3 * 2
         self.hidden_at = range(firing, firing + settings.hidden)
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Return header; per source its weights to all neurons, padded; the biases; dt / tau."""
-        iterations, tables = self.settings.iterations, self.tables(genomes).copy()
-        tables[..., -1] = 1.0 / (iterations * self._taus(tables[..., -1]))
-        return parameter_rows((iterations, self.neurons), tables)
+        iterations, tables = self.settings.iterations, self.tables(genomes)
+        rows = parameter_rows(self._header, tables)
+        speeds = rows[:, -padded(self.neurons) :]  # a view
+        speeds[:, : self.neurons] = 1.0 / (iterations * self._taus(tables[..., -1]))
+        return rows
 
     def _texts(self, table: np.ndarray) -> list[str]:
         taus = self._taus(table[:, -1]).tolist()
@@ -142,7 +146,8 @@ class CTRNN(Meshed):
     def _taus(self, genes: np.ndarray) -> np.ndarray:
         """Return time constants in decisions, float64."""
         settings = self.settings
-        share = (np.clip(genes.astype(np.float64), -1.0, 1.0) + 1.0) / 2.0
+        cut = np.minimum(np.maximum(genes, -1.0), 1.0)  # far faster than np.clip
+        share = (cut.astype(np.float64) + 1.0) / 2.0
         return np.asarray(
             settings.tau_min + (settings.tau_max - settings.tau_min) * share
         )

@@ -141,6 +141,12 @@ class Layered(vector.VectorRepresentation):
         super().__init__(
             settings, inputs, outputs, ranges=np.array(ranges), blocks=blocks, least=least
         )
+        header = (
+            len(self.widths),
+            *map(neurons.ACTIVATIONS.index, activations),
+            *self.widths,
+        )
+        self._header = np.array(header, np.float32)
         self.state_size = 2 * max(inputs, *map(neurons.padded, self.widths))
 
     def tables(self, genomes: Sequence[bytes]) -> list[np.ndarray]:
@@ -155,9 +161,7 @@ class Layered(vector.VectorRepresentation):
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Return header and widths; per layer and source the weights, padded, then the biases."""
-        activations = map(neurons.ACTIVATIONS.index, self.activations)
-        header = len(self.widths), *activations, *self.widths
-        return neurons.parameter_rows(header, *self.tables(genomes))
+        return neurons.parameter_rows(self._header, *self.tables(genomes))
 
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
         """Return means of |difference| / range over all genes, added in gene order."""

@@ -50,16 +50,14 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
     The inputs do not change between iterations, so their sums are computed once. The additions and
     their order are those of FREVO.
     """
-    iterations, activation, neurons = (
-        int(parameters[0]),
-        int(parameters[1]),
-        int(parameters[2]),
-    )
+    iterations = int(parameters[0])
+    activation = int(parameters[1])
+    neurons = int(parameters[2])
     inputs, row = observation.shape[0], state.shape[0] // 3
     from_inputs, fresh = row, 2 * row  # behind the outputs
     inner = HEADER + inputs * row
     biases = inner + neurons * row
-    weigh(parameters, HEADER, row, observation, 0, inputs, state, from_inputs)
+    weigh(parameters, HEADER, row, observation, state, from_inputs)
     for _ in range(iterations):
         for first in range(0, row, LANES):
             sums = load(state, from_inputs + first)
@@ -108,9 +106,10 @@ class FullyMeshed(Meshed):
         neuron = [(settings.weight_range, vector.FINE)] * sources
         neuron.append((settings.bias_range, vector.COARSE))
         super().__init__(settings, inputs, outputs, neuron)
+        activation = neurons.ACTIVATIONS.index(settings.activation)
+        header = settings.iterations, activation, self.neurons, 0
+        self._header = np.array(header, np.float32)
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Return header; per source its weights to all neurons, padded; the biases."""
-        activation = neurons.ACTIVATIONS.index(self.settings.activation)
-        header = self.settings.iterations, activation, self.neurons, 0
-        return neurons.parameter_rows(header, self.tables(genomes))
+        return neurons.parameter_rows(self._header, self.tables(genomes))

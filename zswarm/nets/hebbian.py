@@ -26,6 +26,7 @@ from zswarm.nets.neurons import (
 )
 
 HEADER = 4  # iterations, neurons, learning rate, 0
+RATE = 2
 LEAST_RATE = 0.01  # least reach of mutation 2 for the learning rate
 
 
@@ -48,11 +49,9 @@ class HebbianSettings(MeshedSettings, frozen=True):
 @kernel(STEP_SIGNATURE)
 def step(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
     """Make one decision, and learn from it."""
-    iterations, neurons, rate = (
-        int(parameters[0]),
-        int(parameters[1]),
-        np.float64(parameters[2]),
-    )
+    iterations = int(parameters[0])
+    neurons = int(parameters[1])
+    rate = np.float64(parameters[RATE])
     row = (neurons + LANES - 1) // LANES * LANES
     inputs = observation.shape[0]
     table = (inputs + neurons) * row
@@ -74,17 +73,19 @@ def step(parameters, state, observation, output):  # type: ignore[no-untyped-def
             store(state, fresh + first, load(parameters, biases + first) + sums)
         for first in range(0, row, LANES):
             activate(CLAMP, state, fresh + first, first, LANES)
-    total, count = ZERO, 0
+    total = ZERO
     for neuron in range(neurons):
         change = rate * (np.float64(state[neuron]) - 0.5)
-        for source in range(inputs + neurons):
-            value = observation[source] if source < inputs else state[source - inputs]
-            delta = float32(change * (np.float64(value) - 0.5))
+        for source in range(inputs):
+            delta = float32(change * (np.float64(observation[source]) - 0.5))
             state[deltas + source * row + neuron] = delta
-            if source - inputs != neuron:
+            total = total + delta
+        for source in range(neurons):
+            delta = float32(change * (np.float64(state[source]) - 0.5))
+            state[deltas + (inputs + source) * row + neuron] = delta
+            if source != neuron:
                 total = total + delta
-                count += 1
-    mean = total / float32(count)
+    mean = total / float32(neurons * (inputs + neurons - 1))
     for source in range(inputs + neurons):
         for neuron in range(neurons):
             if source - inputs != neuron:
@@ -111,14 +112,15 @@ class Hebbian(Meshed):
         neuron += [(settings.bias_range, vector.COARSE)]
         rate = [(settings.rate_range, LEAST_RATE)]
         super().__init__(settings, inputs, outputs, neuron, rate)
+        self._header = np.array([settings.iterations, self.neurons, 0, 0], np.float32)
         self.state_size = 2 * (self.sources + 1) * padded(self.neurons) + 1
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Return header; weights and plasticities of each source to all neurons; the biases."""
-        header = np.zeros((len(genomes), HEADER), np.float32)
-        header[:, :2] = self.settings.iterations, self.neurons
-        header[:, 2] = self.vectors(genomes)[:, -1]
-        tables = self.tables(genomes)
+        vectors = self.vectors(genomes)
+        tables = self.shaped(vectors)
         if not self.plastic:
             tables = np.insert(tables, [self.sources] * self.sources, 1.0, axis=2)
-        return parameter_rows(header, tables)
+        rows = parameter_rows(self._header, tables)
+        rows[:, RATE] = vectors[:, -1]
+        return rows

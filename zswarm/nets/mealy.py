@@ -4,6 +4,7 @@ Source: ``MealyFSM`` of FREVO 1.5, github.com/smartgrids-aau/Frevo, by A. Pinter
 machine decides, the genome, the mutations, and what differs from FREVO: docs/representations.md.
 """
 
+import functools
 import itertools
 from collections.abc import Sequence
 from typing import Annotated, Literal, NamedTuple
@@ -15,7 +16,7 @@ from zswarm.config.meta import PartSettings, about, above, within
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream
 from zswarm.nets.graph import Edge, Graph, Node
-from zswarm.nets.mealy_kernel import HEADER, PER_INPUT, step
+from zswarm.nets.mealy_kernel import HEADER, step
 from zswarm.nets.representation import Representation, stacked
 
 LARGEST = 1 << 20  # numbers of a table
@@ -94,6 +95,7 @@ class Machine(NamedTuple):
         return np.array((self.states, *self), layout).tobytes()
 
 
+@functools.lru_cache
 def _layout(thresholds: int, table: tuple[int, ...]) -> np.dtype[np.void]:
     """Return the layout of a genome whose table is (rows, states, outputs)."""
     return np.dtype(
@@ -146,7 +148,8 @@ class Mealy(Representation):
                 f"{self._most} states, which are {numbers:,} numbers; at most {LARGEST:,}: use "
                 "fewer thresholds or states"
             )
-        self._thresholds = int(np.add.reduce(self._per_input[:, 0]))
+        self._head, self._thresholds_at = self._head_of_rows()
+        self._thresholds = len(self._thresholds_at)
         self.genome_bytes = (
             None if self._varies else self._layout(settings.states).itemsize
         )
@@ -282,25 +285,30 @@ class Mealy(Representation):
         return machine
 
     def _row(self, genome: bytes) -> np.ndarray:
-        machine, settings = self._checked(genome), self.settings
-        table = HEADER + PER_INPUT * self.inputs + self._thresholds
-        product = settings.rows == "product"
-        header = (
-            machine.states,
-            machine.first,
+        machine, head = self._checked(genome), self._head.copy()
+        head[:2] = machine.states, machine.first
+        head[self._thresholds_at] = machine.thresholds
+        tables = machine.following.ravel(), machine.outputs.ravel()
+        return np.concatenate([head, *tables], dtype=np.float32, casting="unsafe")
+
+    def _head_of_rows(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return what is before a row's table, and where a genome's thresholds go in it."""
+        settings = self.settings
+        at: list[int] = []
+        head = [
+            0,
+            0,
             settings.output_units,
-            product,
+            settings.rows == "product",
             settings.scale,
-        )
-        by_input = zip(self._per_input, self._by_input(machine.thresholds), strict=True)
-        inputs = [part for parts in by_input for part in parts]
-        parts = [
-            [*header, table],
-            *inputs,
-            machine.following.ravel(),
-            machine.outputs.ravel(),
+            0,
         ]
-        return np.concatenate([np.asarray(part, np.float32) for part in parts])
+        for thresholds, *others in self._per_input.tolist():
+            head += [thresholds, *others]
+            at += range(len(head), len(head) + thresholds)
+            head += [0] * thresholds
+        head[HEADER - 1] = len(head)
+        return np.array(head, np.float32), np.array(at, np.int64)
 
     def _by_input(self, thresholds: np.ndarray) -> list[np.ndarray]:
         counts = itertools.accumulate(self._per_input[:, 0].tolist(), initial=0)

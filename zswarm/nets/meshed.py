@@ -48,8 +48,12 @@ class Meshed(VectorRepresentation):
 
     def tables(self, genomes: Sequence[bytes]) -> np.ndarray:
         """Return (genomes, neurons, genes of a neuron) float32."""
-        genes = self.vectors(genomes)[:, : self.blocks[-1]]
-        return genes.reshape(len(genomes), self.neurons, self.blocks[1])
+        return self.shaped(self.vectors(genomes))
+
+    def shaped(self, vectors: np.ndarray) -> np.ndarray:
+        """Return the ``tables`` of vectors."""
+        genes = vectors[:, : self.blocks[-1]]
+        return genes.reshape(len(vectors), self.neurons, self.blocks[1])
 
     def graph(self, genome: bytes) -> Graph:
         """Return the network with the weights of its genome."""

@@ -196,8 +196,7 @@ class Neat(Representation):
         return {id_: index for index, id_ in enumerate(ids)}
 
     def _row(self, genome: bytes) -> np.ndarray:
-        genes = Genes.decode(genome)
-        nodes, links = genes
+        nodes, links = Genes.decode(genome)
         numbers = np.concatenate([nodes["bias"], nodes["factor"], links["weight"]])
         if not np.isfinite(numbers).all():
             raise ValueError("a genome holds a number that is not finite")
@@ -209,14 +208,12 @@ class Neat(Representation):
         hidden = len(nodes) - self.outputs
         # Outputs last.
         nodes = nodes[[*range(self.outputs, len(nodes)), *range(self.outputs)]]
-        sources, targets = self._ends(genes, nodes)
+        sources, targets = self._ends(links, nodes)
         self._check_recurrence(sources, targets, hidden)
         enabled = links["enabled"] == 1
-        sources, targets, weights = (
-            sources[enabled],
-            targets[enabled],
-            links["weight"][enabled],
-        )
+        sources = sources[enabled]
+        targets = targets[enabled]
+        weights = links["weight"][enabled]
         sweeps = (
             1 if (sources - self.inputs < targets).all() else self.settings.iterations
         )
@@ -247,17 +244,19 @@ class Neat(Representation):
             )
         return unique
 
-    def _ends(self, genes: Genes, nodes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _ends(
+        self, links: np.ndarray, nodes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return per link its source, counted from the inputs, and its target, from the neurons."""
         index = self._indices(nodes)
         try:
-            ends = [(index[source], index[target]) for source, target in genes.pairs()]
+            sources = np.array([index[id_] for id_ in links["source"].tolist()], int)
+            targets = np.array([index[id_] for id_ in links["target"].tolist()], int)
         except KeyError as error:
             raise ValueError(
                 f"a genome has a link of node {error}, which is missing"
             ) from None
-        sources, targets = np.array(ends, np.int64).reshape(-1, 2).T
-        targets = targets - self.inputs
+        targets -= self.inputs
         if (targets < 0).any():
             raise ValueError("a genome has a link that ends at an input")
         return sources, targets
@@ -272,8 +271,10 @@ class Neat(Representation):
         allow = "that takes recurrent = true"
         if (neurons >= hidden).any():
             raise ValueError(f"a genome has a link that starts at an output; {allow}")
+        if (neurons < targets).all():
+            return
         pairs = zip(neurons.tolist(), targets.tolist(), strict=True)
-        if not (neurons < targets).all() and sorted_forward(range(hidden), pairs) is None:
+        if sorted_forward(range(hidden), pairs) is None:
             raise ValueError(f"a genome has links in a circle; {allow}")
 
     def _numbers(self, genome: bytes) -> Numbers:

@@ -23,11 +23,9 @@ HIGH, MIDDLE, LOW = np.uint64(44), np.uint64(22), np.uint64((1 << 22) - 1)
 @inline
 def load_double(array, at):  # type: ignore[no-untyped-def]  # compiled
     """Return the float64 that three float32 numbers hold."""
-    high, middle, low = (
-        np.uint64(array[at]),
-        np.uint64(array[at + 1]),
-        np.uint64(array[at + 2]),
-    )
+    high = np.uint64(array[at])
+    middle = np.uint64(array[at + 1])
+    low = np.uint64(array[at + 2])
     return np.uint64((high << HIGH) | (middle << MIDDLE) | low).view(np.float64)
 
 
@@ -54,11 +52,9 @@ def tanh(x):  # type: ignore[no-untyped-def]  # compiled
 @kernel(STEP_SIGNATURE)
 def step(parameters, state, observation, output):  # type: ignore[no-untyped-def]  # compiled
     """Make one decision; ``state`` holds each neuron's value, in the order of the parameters."""
-    iterations, hidden, neurons = (
-        int(parameters[0]),
-        int(parameters[1]),
-        int(parameters[2]),
-    )
+    iterations = int(parameters[0])
+    hidden = int(parameters[1])
+    neurons = int(parameters[2])
     inputs = observation.shape[0]
     for _ in range(iterations):
         link = HEADER + PER_NEURON * neurons

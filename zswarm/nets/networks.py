@@ -15,8 +15,9 @@ class Networks:
     """
 
     def __init__(self, representation: Representation, parameters: np.ndarray) -> None:
-        self._representation = representation
         self._step = representation.step
+        self._outputs = representation.outputs
+        self._state_size = representation.state_size
         self._parameters = parameters
         self._states: dict[int, np.ndarray] = {}  # by agent
 
@@ -30,13 +31,13 @@ class Networks:
             participants: per agent the participant that drives it.
             observations: (agents, inputs) float32.
         """
-        actions = np.empty((len(agents), self._representation.outputs), np.float32)
+        actions = np.empty((len(agents), self._outputs), np.float32)
         for row, (agent, participant) in enumerate(
             zip(agents, participants, strict=True)
         ):
             state = self._states.get(agent)
             if state is None:
-                state = np.zeros(self._representation.state_size, np.float32)
+                state = np.zeros(self._state_size, np.float32)
                 self._states[agent] = state
             self._step(
                 self._parameters[participant], state, observations[row], actions[row]

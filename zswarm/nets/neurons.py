@@ -1,6 +1,6 @@
 """Parts of the kernels of several networks: activations, weighted sums, rows of parameters."""
 
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -23,23 +23,21 @@ def padded(neurons: int) -> int:
     return -(-neurons // LANES) * LANES
 
 
-def parameter_rows(header: Any, *layers: np.ndarray) -> np.ndarray:
+def parameter_rows(header: np.ndarray, *layers: np.ndarray) -> np.ndarray:
     """Return (genomes, P) float32: header, then per layer and gene the numbers of all neurons.
 
     Args:
-        header: numbers of all genomes, or a row for each.
         layers: (genomes, neurons, genes of a neuron). Neurons are padded to a multiple of eight.
     """
-    header = np.asarray(header, np.float32)
-    count, at = len(layers[0]), header.shape[-1]
-    shapes = [(genes, padded(neurons)) for _, neurons, genes in (x.shape for x in layers)]
-    size = int(sum(genes * row for genes, row in shapes))
-    rows = np.zeros((count, at + size), np.float32)
-    rows[:, :at] = header
-    for layer, (genes, row) in zip(layers, shapes, strict=True):
-        part = rows[:, at : at + genes * row].reshape(count, genes, row)  # a view
-        part[..., : layer.shape[1]] = layer.transpose(0, 2, 1)
-        at += genes * row
+    ends = [len(header)]
+    for layer in layers:
+        ends.append(ends[-1] + layer.shape[2] * padded(layer.shape[1]))
+    rows = np.zeros((len(layers[0]), ends[-1]), np.float32)
+    rows[:, : ends[0]] = header
+    for layer, begin, end in zip(layers, ends, ends[1:], strict=False):
+        count, neurons, genes = layer.shape
+        part = rows[:, begin:end].reshape(count, genes, -1)  # a view
+        part[..., :neurons] = layer.transpose(0, 2, 1)
     return rows
 
 
@@ -71,18 +69,16 @@ def copy_outputs(state, end, output):  # type: ignore[no-untyped-def]  # compile
 
 
 @inline(counts=False)
-def weigh(parameters, at, row, values, begin, count, state, to):  # type: ignore[no-untyped-def]  # compiled
-    """Store sums of ``count`` values from ``begin``, in order, times weights, for all neurons.
+def weigh(parameters, at, row, values, state, to):  # type: ignore[no-untyped-def]  # compiled
+    """Store the sums of values, in order, times their weights, for all neurons.
 
     The weights of the first value, ``row`` numbers, begin at ``at``; those of the next follow.
     """
     for first in range(0, row, LANES):
         sums = fill(ZERO)
-        for source in range(count):
-            sums = (
-                sums
-                + load(parameters, at + source * row + first) * values[begin + source]
-            )
+        for source in range(values.shape[0]):
+            weights = load(parameters, at + source * row + first)
+            sums = sums + weights * values[source]
         store(state, to + first, sums)
 
 

@@ -66,8 +66,7 @@ class VectorRepresentation(Representation):
         Raises:
             ValueError: a genome has the wrong length, or a number in it is not finite.
         """
-        for genome in genomes:
-            check_length(genome, self.genome_bytes)
+        check_lengths(genomes, self.genome_bytes)
         numbers = self._numbers(genomes)
         if not np.isfinite(numbers).all():
             raise ValueError("a genome holds a number that is not finite")
@@ -166,10 +165,13 @@ class VectorRepresentation(Representation):
         return np.frombuffer(b"".join(genomes), "<f4").reshape(len(genomes), self.genes)
 
 
-def check_length(genome: bytes, size: int) -> None:
+def check_lengths(genomes: Sequence[bytes], size: int) -> None:
     """Raise ``ValueError`` if a genome has another length."""
-    if len(genome) != size:
-        raise ValueError(f"a genome has {len(genome)} bytes; this network takes {size}")
+    for genome in genomes:
+        if len(genome) != size:
+            raise ValueError(
+                f"a genome has {len(genome)} bytes; this network takes {size}"
+            )
 
 
 def absolute_differences(left: np.ndarray, right: np.ndarray) -> np.ndarray:

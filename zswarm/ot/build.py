@@ -27,11 +27,9 @@ def build(complete: Experiment) -> Parts:
         ConfigError: a part refuses its settings, or they do not fit together.
     """
     problem = Problem(complete)
-    kind, name, simulator = (
-        complete.optimizer.kind,
-        complete.problem.simulator,
-        problem.simulator,
-    )
+    kind = complete.optimizer.kind
+    name = complete.problem.simulator
+    simulator = problem.simulator
     loaded = registry.load("optimizer", kind)
     settings = convert(complete.optimizer.settings, loaded.settings_type, "optimizer")
     seed = derive_seed(complete.seed, "optimizer")

@@ -184,11 +184,9 @@ class CandidateEvaluator:
             held = self._new_cluster(
                 problem, run=run, slots=slots, say=_say, stop=self._stop
             )
-            self._cluster, self._of, self._slots = (
-                self._held.enter_context(held),
-                of,
-                slots,
-            )
+            self._cluster = self._held.enter_context(held)
+            self._of = of
+            self._slots = slots
             for item in self._wait(self._cluster):
                 _log(item)
         if self._idle is None:
@@ -266,10 +264,8 @@ def _checked_seeds(seeds: Any) -> list[int]:
 
 def _same_lease(problem: Problem) -> bytes:
     """Return a key that is equal for problems that differ in their trials only."""
-    simulator, representation = (
-        problem.experiment.problem,
-        problem.experiment.representation,
-    )
+    simulator = problem.experiment.problem
+    representation = problem.experiment.representation
     parts = (simulator.simulator, simulator.settings, representation)
     return msgspec.json.encode(parts, order="sorted")
 

@@ -50,10 +50,8 @@ class Assessment:
             return total
         with np.errstate(over="ignore", invalid="ignore"):
             for workload in self._workloads:
-                who, players = (
-                    workload.participants.ravel(),
-                    workload.participants.shape[1],
-                )
+                who = workload.participants.ravel()
+                players = workload.participants.shape[1]
                 np.add.at(
                     total, who, np.repeat(workload.metrics[:, columns], players, axis=0)
                 )

@@ -32,11 +32,9 @@ class Problem:
 
     def __init__(self, complete: Experiment) -> None:
         self.experiment = complete
-        problem, network, ranking = (
-            complete.problem,
-            complete.representation,
-            complete.ranking,
-        )
+        problem = complete.problem
+        network = complete.representation
+        ranking = complete.ranking
         self.simulator, self.representation = evaluate.build(
             problem.simulator, problem.settings, network.kind, network.settings
         )

@@ -42,7 +42,7 @@ class Workload:
     def batch(self, trials: np.ndarray) -> tuple[list[bytes], np.ndarray, np.ndarray]:
         """Return genomes for trials, participants as indices into these, and seeds."""
         used, participants = np.unique(self.participants[trials], return_inverse=True)
-        genomes = [self.genomes[i] for i in used]
+        genomes = list(map(self.genomes.__getitem__, used.tolist()))
         return genomes, participants.reshape(len(trials), -1), self.seeds[trials]
 
 

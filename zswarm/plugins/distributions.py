@@ -10,6 +10,7 @@ SCRIPTS = ("console_scripts", "gui_scripts")
 # How and where it was installed, which differs between machines; Python's own bytecode.
 METADATA = (".dist-info", ".egg-info")
 DERIVED = (".pyc", ".pth")
+COMPILED = (*EXTENSION_SUFFIXES, ".so", ".dylib", ".pyd")
 
 
 def plugin_files(package: str, source: Distribution | None) -> list[Path]:
@@ -33,7 +34,7 @@ def compiled_files(name: str) -> list[Path]:
         installed = _installed(distribution(name))
     except PackageNotFoundError:
         return []
-    return sorted(file for file in installed if file.name.endswith(_compiled()))
+    return sorted(file for file in installed if file.name.endswith(COMPILED))
 
 
 def regular(files: Iterable[Path]) -> list[Path]:
@@ -67,7 +68,3 @@ def _installed(source: Distribution) -> Iterator[Path]:
 
 def _derived(file: Path) -> bool:
     return "__pycache__" in file.parts or file.suffix in DERIVED
-
-
-def _compiled() -> tuple[str, ...]:
-    return (*EXTENSION_SUFFIXES, ".so", ".dylib", ".pyd")

@@ -66,11 +66,9 @@ class Authority:
             if (folder / KEY).exists():
                 text = "there is an authority already, for all keys of the lab"
                 raise KeysError(f"{folder}: {text}; --authority DIR makes another")
-            key, begin, name = (
-                certificates.new_key(),
-                now or datetime.now(UTC),
-                f"authority.{lab}",
-            )
+            key = certificates.new_key()
+            begin = now or datetime.now(UTC)
+            name = f"authority.{lab}"
             certificate = certificates.build(
                 name,
                 key.public_key(),
@@ -185,10 +183,8 @@ class Authority:
                 text = f"{holder} was revoked on {previous.revoked_at:%Y-%m-%d}"
                 raise KeysError(f"{text}: issue keys under another name")
             if pem:
-                public, key = (
-                    certificates.read_public(pem, f"{self.folder / LEDGER}"),
-                    None,
-                )
+                public = certificates.read_public(pem, f"{self.folder / LEDGER}")
+                key = None
             else:
                 key = certificates.new_key()
                 public = key.public_key()

@@ -28,12 +28,10 @@ from zswarm.errors import KeysError
 from zswarm.security.members import Holder, Members, SignedMembers
 from zswarm.system.text import clean
 
-AUTHORITY, CERTIFICATE, KEY, MEMBERS = (
-    "authority.pem",
-    "certificate.pem",
-    "key.pem",
-    "members.json",
-)
+AUTHORITY = "authority.pem"
+CERTIFICATE = "certificate.pem"
+KEY = "key.pem"
+MEMBERS = "members.json"
 UNREADABLE = (  # what the library raises at bytes that it cannot read
     ValueError,
     TypeError,

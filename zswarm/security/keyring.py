@@ -82,10 +82,8 @@ def load(folder: Path, role: Role | None = None) -> Keyring:
         )
     names = certificates.AUTHORITY, certificates.CERTIFICATE, certificates.MEMBERS
     authority, own, members = (read(folder / name) for name in names)
-    key, where = (
-        read(folder / certificates.KEY, secret=True),
-        f"{folder / certificates.MEMBERS}",
-    )
+    key = read(folder / certificates.KEY, secret=True)
+    where = f"{folder / certificates.MEMBERS}"
     try:
         signed = from_json(members, SignedMembers, where)
     except ConfigError:

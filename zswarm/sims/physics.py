@@ -98,6 +98,13 @@ class Movable(NamedTuple):
     is_box: bool
 
 
+@functools.lru_cache
+def directions(view: float, rays: int) -> np.ndarray:
+    """Return the directions of a laser's rays over so many degrees: (rays, 2) float64."""
+    angles = [(view * (ray / (rays - 1)) - view / 2) * PI / 180 for ray in range(rays)]
+    return np.array([[cos(angle), sin(angle)] for angle in angles])
+
+
 class RobotWorld:
     """Robots, walls and things, from the start of a trial on.
 
@@ -151,23 +158,12 @@ class RobotWorld:
         )
         self._half = np.array([thing.size for thing in things])
 
-    @functools.cached_property
-    def _rays(self) -> np.ndarray:
-        """Return the directions of the laser's rays; computed late, as they need the compiler."""
-        rays = self.settings.rays
-        view = self.settings.view
-        angles = [
-            (view * (ray / (rays - 1)) - view / 2) * PI / 180 for ray in range(rays)
-        ]
-        return np.array([[cos(angle), sin(angle)] for angle in angles])
-
-    @functools.cached_property
-    def _left(self) -> float:
-        return float(exp(-PARTING * self._substep_s))
-
     def start(self, poses: np.ndarray, things: np.ndarray) -> None:
         """Begin a trial with everything at rest, at (robots, 3) and (things, 3) float64 poses."""
         settings = self.settings
+        # Not before: both need the compiler.
+        self._rays = directions(settings.view, settings.rays)
+        self._left = float(exp(-PARTING * self._substep_s))
         self._space = space = pymunk.Space()
         space.collision_slop = SLOP
         space.collision_bias = self._left

@@ -232,23 +232,34 @@ def sectors(ranges, reach, observations):
         Int64s,
         float64,
         int64,
+        Float64s,
         Float32Rows,
         Float64s,
         Int64s,
     )
 )
 def bearings(
-    poses, headings, targets, gone, reach, column, observations, distances, nearest
+    poses,
+    headings,
+    targets,
+    gone,
+    reach,
+    column,
+    towards,
+    observations,
+    distances,
+    nearest,
 ):
-    """Write the nearest target in each robot's frame into three columns.
+    """Write the nearest target and a direction, both in each robot's frame, into five columns.
 
-    They are its direction, a unit vector, and how near it is: 1 - distance / reach. All are zeros
-    without a target within reach.
+    The first are the target's direction, a unit vector, and how near it is: 1 - distance / reach.
+    These are zeros without a target within reach.
 
     Args:
         targets: (targets, >= 2) float64: x, y.
         gone: (targets,) int64, not 0 for those that do not count.
-        column: the first of the three.
+        column: the first of the five.
+        towards: (2,) float64, factors that turn a heading into the direction.
         distances: (robots,) float64, filled: m; infinite without a target.
         nearest: (robots,) int64, filled: index of the target, the first of equals; -1 without any.
     """
@@ -266,6 +277,8 @@ def bearings(
         distances[robot] = distance
         nearest[robot] = which
         observations[robot, column : column + 3] = ZERO
+        observations[robot, column + 3] = headings[robot, 0] * towards[0]
+        observations[robot, column + 4] = headings[robot, 1] * towards[1]
         if which >= 0 and 0.0 < distance <= reach:
             dx = (targets[which, 0] - poses[robot, X]) / distance
             dy = (targets[which, 1] - poses[robot, Y]) / distance

@@ -103,10 +103,9 @@ class Transport(Simulator):
             self._gone,
             reach,
             SECTORS,
+            self.towards,
             observations,
             self._distances,
             self._nearest,
         )
-        ahead = observations[:, SECTORS + 3 : SECTORS + 5]
-        np.multiply(world.headings, self.towards, ahead)
         return Turn(range(robots), observations)

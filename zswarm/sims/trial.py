@@ -104,6 +104,7 @@ def play_many(step, world, batch, together, robots, inputs, outputs):
     controllers = np.empty((teams, numbers * together), np.float32)
     states = np.zeros((teams * groups, together * batch.state_size), np.float32)
     gathered = np.empty((inputs + SPARE) * together, np.float32)
+    observation = gathered[: inputs * together]
     action = np.empty(outputs * together, np.float32)
     # Zeros, because lanes also read what lies behind the last robot.
     padded = np.zeros(agents * inputs + SPARE, np.float32)
@@ -135,7 +136,7 @@ def play_many(step, world, batch, together, robots, inputs, outputs):
                             actions[agents * number + first] = action[number]
                     else:
                         gather(padded, first, last, inputs, gathered)
-                        step(controller, state, gathered[: inputs * together], action)
+                        step(controller, state, observation, action)
                         spread(action, first, last, agents, outputs, actions)
             act(world, actions)  # noqa: F821
         judge(world, batch.fitness[trial], batch.metrics[trial])  # noqa: F821

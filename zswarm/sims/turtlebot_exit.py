@@ -18,6 +18,7 @@ from zswarm.sims.exit_fitness import cpswarm_log, last_distance
 from zswarm.sims.physics import Metres, RobotSettings, RobotWorld
 from zswarm.sims.physics_kernels import SCAN, SECTORS, command
 from zswarm.sims.physics_picture import picture
+from zswarm.sims.physics_stall import StallWorld
 from zswarm.sims.placing import Area, require_room, shrunk, strew
 from zswarm.sims.robot_interface import observe
 from zswarm.sims.simulator import (
@@ -50,6 +51,18 @@ class TurtlebotExitSettings(RobotSettings, frozen=True):
         ),
     ] = "small-maze"
     epsilon: Annotated[Metres, about("m from an exit at which a robot leaves")] = 0.15
+    contact: Annotated[
+        Literal["slide", "stall"],
+        about(
+            "slide: robots push and slide along what they touch; stall: a move that would touch "
+            "something is undone, its turn included, as in Stage; then mass, force, friction and "
+            "restitution have no effect"
+        ),
+    ] = "slide"
+    after_exit: Annotated[
+        Literal["remove", "stay"],
+        about("robots that are out are removed, or stay in the way of others, as in ROS"),
+    ] = "remove"
     fitness: Annotated[
         Literal["last-distance", "cpswarm-log"],
         about(
@@ -184,7 +197,7 @@ class TurtlebotExit(Simulator):
     Turns: all robots that are still inside, at once, every ``step_s``.
     Start: places around (0, -1) and headings from the trial's seed, at rest.
     End: after ``steps`` steps, or when all are out. A robot is out when its centre is nearer than
-        ``epsilon`` to an exit; it is taken out of the room.
+        ``epsilon`` to an exit; it is taken out of the room, or stands there (``after_exit``).
     Fitness: last-distance: minus the sum over robots of the last distance to the nearest exit, m;
         at most 0. cpswarm-log: the mean over robots of 100 (50 - d) / 50 + (if d < .2) 100 (90 - t)
         / 90, d the last distance, at most 50, and t the lines of its log, one each 2 s, at most 90.
@@ -208,7 +221,8 @@ class TurtlebotExit(Simulator):
         )
         self.task = ExitTask(settings)
         self.robot = self.task.interface
-        self._world = RobotWorld(settings, ROOM, WALLS[settings.map])
+        kind = StallWorld if settings.contact == "stall" else RobotWorld
+        self._world = kind(settings, ROOM, WALLS[settings.map])
         # (robots, rays) float32, m; of one that is out the last.
         self.scans = self._world.ranges
         # x, y, and z, w of the quaternion, likewise.
@@ -230,10 +244,17 @@ class TurtlebotExit(Simulator):
 
     def drive(self, linear: np.ndarray, angular: np.ndarray) -> Turn | None:
         """Do as ``step``, with velocities: (robots,) float64, m/s and rad/s counter-clockwise."""
+        stay = self.settings.after_exit == "stay"
+        if stay:
+            acts = np.isin(np.arange(self.settings.robots), self.task.agents)
+            linear, angular = np.where(acts, linear, 0.0), np.where(acts, angular, 0.0)
+            left = self.poses[~acts]
         self._world.drive(linear, angular)
         as_messages(self._world.poses, self.poses)
+        if stay:  # what they have reached is theirs, though others may push them
+            self.poses[~acts] = left
         turn, out = self.task.go_on(self.scans, self.poses)
-        for robot in out:
+        for robot in () if stay else out:
             self._world.take_out(robot)
         return turn
 

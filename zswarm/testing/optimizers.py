@@ -127,10 +127,8 @@ def _check_order(optimizer: Optimizer, toy: _Toy) -> None:
     genomes = optimizer.ask()
     count, (fitness, measures) = len(genomes), toy.judge(genomes, optimizer)
     require(genomes, ".ask must give at least one genome")
-    valid, kind = (
-        all(type(genome) is bytes for genome in genomes),
-        type(genomes[0]).__name__,
-    )
+    valid = all(type(genome) is bytes for genome in genomes)
+    kind = type(genomes[0]).__name__
     require(valid, f".ask must give bytes, not {kind}")
     require_raises(RuntimeError, optimizer.ask, ".ask before the last one was told")
     for shape in ((count + 1,), (count, 1)):

@@ -162,10 +162,8 @@ def _check_changes(network: Representation, genomes: list[bytes]) -> None:
 
 def _check_distances(network: Representation, genomes: list[bytes]) -> None:
     distances, count = network.distances(genomes, genomes), len(genomes)
-    found, expected = (
-        f"{distances.shape} {distances.dtype}",
-        f"({count}, {count}) float64",
-    )
+    found = f"{distances.shape} {distances.dtype}"
+    expected = f"({count}, {count}) float64"
     require(found == expected, f".distances must be {expected}, not {found}")
     require(not distances.diagonal().any(), ".distances: a genome differs from itself")
     require(np.array_equal(distances, distances.T), ".distances are not symmetric")

@@ -129,10 +129,8 @@ class _CheckedTrials:
 
     def play(self, player: Simulator, trial: int) -> bytes:
         """Play a trial in turns; return the bytes of its fitness and metrics."""
-        parameters, seed = (
-            self.parameters[self.participants[trial]],
-            int(self.seeds[trial]),
-        )
+        parameters = self.parameters[self.participants[trial]]
+        seed = int(self.seeds[trial])
         fitness, metrics = np.zeros(len(parameters)), np.zeros(self.metrics)
         controllers = Networks(self.network, parameters)
         try:

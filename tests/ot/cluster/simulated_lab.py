@@ -73,7 +73,7 @@ class Lab:
         self.machines: dict[str, _Server] = {}
         for name, machine in machines.items():
             self.add(name, machine)
-        self._run(self.now + PREPARE_S + 1.0)
+        self._run(self.now + 2 * PREPARE_S + 1.0)  # one slot is prepared first
 
     def add(self, name: str, machine: Machine) -> None:
         """Let a server join."""
@@ -81,18 +81,23 @@ class Lab:
         self.feed(Seen(name))
 
     def generation(
-        self, trials: int, *, faults: dict[float, Callable[[], None]] | None = None
+        self,
+        trials: int,
+        *,
+        each: int = 1,
+        faults: dict[float, Callable[[], None]] | None = None,
     ) -> float:
         """Evaluate a generation of different candidates; return the seconds that it took.
 
         Args:
+            each: trials of a candidate.
             faults: what happens during it, by the seconds after its beginning.
         """
         begun, self._complete, self.counted = self.now, False, {}
         for at, happen in (faults or {}).items():
             self.at(at, happen)
-        genomes = [bytes(self.genome)] * trials
-        participants = np.arange(trials).reshape(-1, 1)
+        genomes = [bytes(self.genome)] * math.ceil(trials / each)
+        participants = (np.arange(trials) // each).reshape(-1, 1)
         self.workload = Workload(genomes, participants, np.arange(trials, dtype="u8"), 0)
         self.feed(Work(self.workload))
         self._run(begun + 1e5)

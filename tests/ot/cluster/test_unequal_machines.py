@@ -5,7 +5,8 @@ import pytest
 from tests.ot.cluster.dispatching import Optimizer, batch, fault, outcomes, trials
 from tests.ot.cluster.simulated_lab import Lab, Machine
 from zswarm.ot.cluster.events import Ask, Complete
-from zswarm.protocol.messages import Refused
+from zswarm.protocol import codec
+from zswarm.protocol.messages import Refused, Running
 
 
 def test_what_a_large_server_had_is_split_among_all_others() -> None:
@@ -30,11 +31,29 @@ def seconds(
     return [lab.generation(trials) for _ in range(4)][1:]
 
 
-def test_a_server_behind_a_slow_link_makes_no_generation_slower() -> None:
-    """Genomes of 42 kB take a third of a second each on the way to it."""
-    alone = max(seconds({"near": NEAR}, 100, genome=42_000))
-    for machines in ({"near": NEAR, "far": FAR}, {"far": FAR, "near": NEAR}):
-        assert max(seconds(machines, 100, genome=42_000)) <= 1.05 * alone
+@pytest.mark.parametrize(
+    ("genome", "each", "trial_s", "trials"),
+    [
+        # A genome of 42 kB takes a third of a second on the way.
+        (42_000, 1, 0.02, 100),
+        (42_000, 4, 0.05, 160),
+        (18_000, 4, 0.05, 160),
+        # Half a second of work, and a round trip takes 0.2 s.
+        (240, 1, 0.02, 100),
+        (240, 1, 0.001, 2000),
+    ],
+)
+def test_a_server_behind_a_slow_link_makes_no_generation_slower(
+    genome: int, each: int, trial_s: float, trials: int
+) -> None:
+    """Nor the first one, before anything was measured but how fast the servers answer."""
+    near, far = NEAR._replace(trial_s=trial_s), FAR._replace(trial_s=trial_s)
+    alone = Lab({"near": near}, genome=genome)
+    expected = [alone.generation(trials, each=each) for _ in range(4)]
+    for machines in ({"near": near, "far": far}, {"far": far, "near": near}):
+        lab = Lab(machines, genome=genome)
+        for alone_s in expected:
+            assert lab.generation(trials, each=each) <= 1.05 * alone_s
 
 
 @pytest.mark.parametrize("times", [1.0, 2.0, 3.0, 5.0])
@@ -128,6 +147,21 @@ def test_the_first_outcome_is_counted_and_the_other_copy_cancelled() -> None:
         assert (cancel.server, cancel.message.batches) == (lost.server, [batch(lost)])
         assert optimizer.answer(lost, outcomes(lost, 8.0)) == []
         assert optimizer.counted == [0]
+
+
+def test_a_batch_is_cancelled_of_which_another_server_sent_what_is_left() -> None:
+    optimizer = Optimizer()
+    optimizer.join("a", slots=2, trial_s=100.0)
+    (first,) = optimizer.work(2)
+    optimizer.join("b", trial_s=60.0)
+    (copy,) = [ask for ask in optimizer.wait(1.0) if ask.server == "b"]
+    optimizer.answer(copy, outcomes(copy))
+    assert trials([copy]) == [1]
+    told = {"trials": codec.indices([0]), "fitness": bytes(8), "seconds": 1.0}
+    running = Running(batch=batch(first), done=1, **told)
+    (cancel,) = optimizer.answer(first, running)
+    assert (cancel.server, cancel.message.batches) == ("a", [batch(first)])
+    assert optimizer.counted == [1, 0]
 
 
 def test_a_lost_copy_leaves_its_trial_to_the_other_server() -> None:

@@ -126,7 +126,7 @@ def test_unknown_names_and_missing_files_are_reported() -> None:
     with pytest.raises(
         ConfigError,
         match=r"no profile 'turtlebot5' \(did you mean 'turtlebot[0-9]'\?\); "
-        r"there are stage_ros2, .*FILE.toml",
+        r"there are stage, stage-lockstep, stage_ros2, .*FILE.toml",
     ):
         profiles.read("turtlebot5")
     with pytest.raises(ConfigError, match=r"nowhere.toml: cannot be read: No such file"):

@@ -213,7 +213,10 @@ def test_a_master_that_does_not_answer_is_reported() -> None:
 
 
 def test_a_service_without_arguments_begins_a_trial() -> None:
-    """Stage's reset_positions is such a service; it does not receive the seed."""
+    """Stage's reset_positions is such a service; it does not receive the seed.
+
+    Controllers are told when a call returned.
+    """
     need("rospy")
     with (
         graph.private("rospy") as here,
@@ -222,7 +225,8 @@ def test_a_service_without_arguments_begins_a_trial() -> None:
         ) as controllers,
     ):
         with pytest.raises(
-            EvaluationError, match=r"^no node subscribes to /reset_positions after 0.1 s$"
+            EvaluationError,
+            match=r"^no node offers the service /reset_positions after 0.1 s$",
         ):
             controllers.ready(0.1)
         with Link(
@@ -232,6 +236,8 @@ def test_a_service_without_arguments_begins_a_trial() -> None:
             simulation.ready(TIMEOUT_S)
             controllers.send([ResetWorld(seed=7), ResetWorld(seed=8)])
             assert received(simulation, 2) == [ResetWorld(seed=0), ResetWorld(seed=0)]
+            returned = received(controllers, 2)
+            assert returned == [ResetWorld(seed=0), ResetWorld(seed=0)]
 
 
 def test_bytes_and_hashes_are_still_those_of_ros_2() -> None:

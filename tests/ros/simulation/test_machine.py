@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from tests.robots.trials import built
-from zswarm import evaluate
+from zswarm import evaluate, experiment
 from zswarm.config.decode import convert
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.ros.simulation import machine
@@ -40,7 +40,7 @@ def in_slot(**settings: Any) -> Any:
 def test_a_file_says_where_a_simulation_is(files: Path) -> None:
     more = 'connect = ["tcp/127.0.0.1:7447"]\ndomain = 3\n'
     (files / "stage.toml").write_text(FILE + more)
-    found, profile = machine.find("stage")
+    found, profile, _ = machine.find("stage")
     graph = found.graph()
     assert (graph.link, graph.connect, graph.domain) == (
         "zenoh",
@@ -67,6 +67,19 @@ def test_robots_that_may_be_real_need_a_word_of_the_administrator(files: Path) -
         machine.read(files / "arena.toml")
 
 
+def test_the_example_of_stage_is_a_file_for_a_server_and_an_experiment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder = experiment.examples_folder() / "ros" / "stage"
+    monkeypatch.setenv("ZSWARM_ROS", str(folder))
+    file = folder / "run" / "exit.toml"
+    loaded = experiment.complete(experiment.load(file), str(file))
+    found = machine.find(loaded.problem.settings["simulation"])
+    assert found.folder == folder
+    assert found.simulation.command[-2:] == ["room.world", "_base_watchdog_timeout:=0"]
+    assert found.profile.reset.name == "/lockstep/reset"
+
+
 def test_an_unknown_name_is_refused_in_a_slot_before_anything_is_dialled(
     files: Path,
 ) -> None:
@@ -89,6 +102,29 @@ def test_a_file_that_is_not_valid_is_told_to_its_machine_only(
 
 
 @pytest.mark.parametrize(
+    ("lines", "said"),
+    [
+        ('launch = "stageros \'room.world"', "launch: No closing quotation"),
+        ('launch = " "', "launch: expected a command"),
+        (
+            'link = "zenoh"\nlaunch = "stage"',
+            'launch: expected link = "rospy" or "rclpy"',
+        ),
+        ('launch = "stage"\nmaster = "http://lab:11311"', "expected no master"),
+        ('launch = "stage"\nreal_robots = true', "expected no master, domain or real_"),
+    ],
+)
+def test_what_does_not_go_with_launch_is_refused(
+    files: Path, lines: str, said: str
+) -> None:
+    link = "" if "link" in lines else 'link = "rospy"\n'
+    profile = "stage_ros2" if "zenoh" in lines else "stage"
+    (files / "stage.toml").write_text(f'{link}profile = "{profile}"\n{lines}\n')
+    with pytest.raises(ConfigError, match=said):
+        machine.read(files / "stage.toml")
+
+
+@pytest.mark.parametrize(
     "settings",
     [
         {"launch": "running"},
@@ -102,6 +138,8 @@ def test_a_file_that_is_not_valid_is_told_to_its_machine_only(
         {"simulation": "stage\n"},
         {"simulation": "stage", "profile": "stageros"},
         {"simulation": "stage", "link": "rospy"},
+        {"repeatable": True},
+        {"simulation": "stage", "mode": "free-running", "repeatable": True},
     ],
 )
 def test_settings_hold_no_address_and_no_path(
@@ -121,6 +159,7 @@ def test_outside_of_a_slot_nothing_is_dialled(files: Path) -> None:
         (files / "stage.toml").write_text(FILE + dial)
         simulator = built(NAME, robots=1, simulation="stage")
         assert not simulator.repeatable
+        assert built(NAME, robots=1, simulation="stage", repeatable=True).repeatable
         with pytest.raises(EvaluationError, match="driven by slots of servers only"):
             simulator.reset(1)
         with pytest.raises(BlockingIOError):

@@ -145,7 +145,7 @@ def test_a_robot_that_never_answers_is_named(here: RosGraph) -> None:
             ["--channels", "scan,map"],
             "--channels: expected some of scan, odometry, ground_truth, not 'map'",
         ),
-        (["--profile", "stage"], "no profile 'stage'"),
+        (["--profile", "stages"], "no profile 'stages'"),
         (["--profile", "stageros"], "the link zenoh speaks ROS 2"),
     ],
 )
@@ -215,18 +215,39 @@ def test_a_free_running_simulation_reports_how_late_the_controllers_are() -> Non
     """Few are late in real time; at 1,000 times the speed most are, and steps are missed."""
     need("zenoh")
     late, turns = [], []
+    room = {**ROOM, "mode": "free-running", "missed_limit": 1.0}
     for rate, trials in ((1.0, 1), (1000.0, 8)):
-        simulator = built("turtlebot-exit-ros", mode="free-running", rate=rate, **ROOM)
+        simulator = built("turtlebot-exit-ros", rate=rate, **room)
         for seed in range(3, 3 + trials):
             played = by_policy(simulator, robot_controllers.turtlebot_exit, seed)
-            late.append(played.outcome.metrics[-1])
+            out, _, seconds, share, missed = played.outcome.metrics
+            late.append(share)
             turns.append(len(played.poses) - 1)
-            out, _, seconds, _ = played.outcome.metrics
+            assert missed == 1 - turns[-1] / round(seconds / 0.2)
             assert seconds == 6.0 or out == 2, "all seconds have passed, or all are out"
         simulator.close()
         assert not simulator.repeatable
     assert late[0] < max(late[1:]) <= 1.0
     assert min(turns[1:]) < turns[0] <= 30
+
+
+def test_a_trial_whose_steps_passed_without_decisions_is_a_fault() -> None:
+    """It is no outcome: the robots were not asked."""
+    need("zenoh")
+    room = {**ROOM, "mode": "free-running", "rate": 1000.0, "missed_limit": 0.0}
+    simulator = built("turtlebot-exit-ros", **room)
+    with pytest.raises(
+        EvaluationError,
+        match=r"\d+ of \d+ steps passed without a decision: the simulation is about [\d.]+ times "
+        r"too fast .* at most 0 \(missed_limit\): slow it down, see docs/ros.md",
+    ):
+        play_many(simulator)
+    simulator.close()
+
+
+def play_many(simulator: Any) -> None:
+    for seed in range(20):
+        by_policy(simulator, robot_controllers.turtlebot_exit, seed)
 
 
 def in_slot(here: RosGraph, folder: Path, patch: pytest.MonkeyPatch, **more: Any) -> Any:
@@ -238,6 +259,17 @@ def in_slot(here: RosGraph, folder: Path, patch: pytest.MonkeyPatch, **more: Any
     settings = {**ROOM, "simulation": "room", **more}
     name, network = "turtlebot-exit-ros", "fully-meshed"
     return evaluate.build(name, settings, network, {}, in_slot=True)[0]
+
+
+@pytest.mark.parametrize("contact", ["slide", "stall"])
+def test_robots_that_stay_are_the_same_in_ros(contact: str) -> None:
+    need("zenoh")
+    room = {**ROOM, "steps": 60, "epsilon": 1.0, "contact": contact, "after_exit": "stay"}
+    here, ros = (built(name, **room) for name in ("turtlebot-exit", "turtlebot-exit-ros"))
+    expected = by_policy(here, robot_controllers.turtlebot_exit, 3)
+    assert expected.outcome.metrics[0] > 0, "some leave"
+    assert by_policy(ros, robot_controllers.turtlebot_exit, 3).bits == expected.bits
+    ros.close()
 
 
 def test_a_simulation_that_runs_is_driven_by_one_slot(

@@ -290,6 +290,19 @@ def test_outcomes_are_reported_early_when_slots_are_idle() -> None:
     )
 
 
+def test_the_end_of_a_short_trial_is_awaited_before_outcomes_are_reported() -> None:
+    server = Server(2)
+    query = server.ask(evaluate(server.ready(trial_s=0.02), 1, 2))
+    server.feed(Finished(1, played(1, 2, trial_s=0.02)))
+    assert server.slots.next_time() == pytest.approx(server.now + table.IDLE_S + 0.02)
+    server.now += table.IDLE_S
+    server.feed(Tick((0, 0)))
+    assert query not in server.answers
+    server.now = server.slots.next_time()
+    server.feed(Tick((0, 0)))
+    assert isinstance(server.answers[query], Running)
+
+
 def test_outcomes_are_not_reported_early_while_slots_have_work() -> None:
     server = Server(2)
     lease = server.ready()

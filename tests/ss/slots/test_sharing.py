@@ -177,6 +177,23 @@ def test_idle_slots_are_lent_and_come_back_for_work() -> None:
     assert lab.slots() == {("ada", "a"): 2, ("bob", "b"): 2}
 
 
+@pytest.mark.parametrize("borrower", ["1", "2"])
+def test_an_idle_slot_that_was_lent_comes_back_at_once(borrower: str) -> None:
+    """The event that brings the work gives it a slot; both runs of the other user have one."""
+    lab = Busy(2, trial_s=0.05)
+    for who in (("ada", "a"), ("eve", "1"), ("eve", "2")):
+        lab.reserve(*who, slots=1)
+    lab.wait(LEND_S + 2.0)
+    lab.working.add(("eve", borrower))
+    lab.wait(LEND_S + 2.0)
+    lab.working.clear()
+    while lab.table.leases["eve", borrower].jobs.jobs:
+        lab.wait(TICK_S)
+    assert lab.slots() == {("ada", "a"): 0, ("eve", "1"): 1, ("eve", "2"): 1}
+    lab.ask(("ada", "a"), evaluate(lab.table.leases["ada", "a"].token, 1000, 5))
+    assert lab.slots()["ada", "a"] == 1
+
+
 def test_idle_slots_stay_where_nobody_needs_them() -> None:
     lab = Busy(4)
     for who in (("ada", "a"), ("bob", "b")):

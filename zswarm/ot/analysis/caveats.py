@@ -8,11 +8,9 @@ from zswarm.system.format import plural
 
 def caveats(run: Run) -> list[str]:
     """Return why the experiment may have another history when it is run again."""
-    (faulted, doubtful), source, changed = (
-        run.marked(),
-        run.meta.get("imported_from"),
-        run.changed,
-    )
+    faulted, doubtful = run.marked()
+    source = run.meta.get("imported_from")
+    changed = run.changed
     wrong = "came from a server that was later proved to compute wrong."
     versions = mark(epochs(run), run.generations())
     found = {

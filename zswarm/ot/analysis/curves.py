@@ -203,10 +203,8 @@ def quartiles(values: np.ndarray) -> np.ndarray:
     """
     ordered = np.sort(values, axis=0)
     places = np.array([0.25, 0.5, 0.75]) * (len(ordered) - 1)
-    below, above = (
-        ordered[np.floor(places).astype(int)],
-        ordered[np.ceil(places).astype(int)],
-    )
+    below = ordered[np.floor(places).astype(int)]
+    above = ordered[np.ceil(places).astype(int)]
     part = (places - np.floor(places)).reshape(3, *[1] * (values.ndim - 1))
     with np.errstate(invalid="ignore"):
         between = below + part * (above - below)

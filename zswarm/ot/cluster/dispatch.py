@@ -14,7 +14,7 @@ from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import Phase, RemoteServer, SentBatch
 from zswarm.ot.cluster.servers import RETRY_S, Servers
 from zswarm.ot.notes import RunEvent
-from zswarm.protocol.messages import Fault, Outcomes, Refused, Reply, Running
+from zswarm.protocol.messages import Cancel, Fault, Outcomes, Refused, Reply, Running
 
 
 class Dispatch:
@@ -134,6 +134,9 @@ class Dispatch:
                     batch.all_started |= reply.given
                     if batch.missing:
                         batches.send(batch)
+                    else:  # other servers sent what it still computes
+                        cancel = Cancel(lease=server.lease, batches=[batch.id])
+                        self.out.ask(server.id, cancel)
                 case Outcomes():
                     batches.count(batch, reply)
                     batches.give_back(batch)

@@ -49,6 +49,12 @@ RELEASE_S = 2.0  # for the last messages, at most
 AT_ONCE = 12_000
 
 
+def _size(message: Evaluate) -> int:
+    """Return about how many bytes a message takes."""
+    arrays = len(message.participants) + len(message.seeds)
+    return sum(map(len, message.genomes)) + 8 * len(message.genomes) + arrays
+
+
 class Links(msgspec.Struct, eq=False):
     """The sessions of a run."""
 
@@ -164,14 +170,12 @@ class Links(msgspec.Struct, eq=False):
             self.senders[server] = session.Sender(server, partial(self._not_sent, server))
         at_once = False
         if isinstance(message, Evaluate):
-            size = sum(map(len, message.genomes)) + 8 * len(message.genomes)
-            size += len(message.participants) + len(message.seeds)
             link_busy = (
                 self._unanswered
                 if self.reach.through_router
                 else self._waited_for[server]
             )
-            at_once = may_block and size < AT_ONCE and not link_busy
+            at_once = may_block and not link_busy and _size(message) < AT_ONCE
             self._unanswered[ask.question] = server
             self._waited_for[server] += 1
         if not self.senders[server].send(send, at_once=at_once):

@@ -18,8 +18,9 @@ JITTER_SHARE = 0.5  # the same, as a share of the time of its trials
 LONGEST_S = 5.0  # that a round trip is taken to last: the clock may have jumped
 # A batch of fewer bytes does not show how fast a link is.
 MEASURABLE_BYTES = 4_000
-# Assumed of a link until it is measured: the first batch shows how slow it is, and is small.
-UNKNOWN_BYTE_S = 1e-5
+# Assumed of a link until it is measured, or less if a short message and its answer took less: the
+# first batch shows how slow it is, and is small.
+UNKNOWN_BYTE_S, SHORT_BYTES = 1e-5, 500
 FIRST_BATCH_S = 0.16
 
 
@@ -30,6 +31,7 @@ class Pace(msgspec.Struct, eq=False):
     round_trip_s: float = 0.0  # of a short message and its answer
     byte_s: float = 0.0  # of a byte on the link
     link_measured: bool = False
+    sent_by: float = -math.inf  # when what was sent is expected to be through the link
     batch_at: float = -math.inf  # when it was last sent a batch
     outdated: bool = False  # what is known of its trials is long ago
 
@@ -49,6 +51,9 @@ class Pace(msgspec.Struct, eq=False):
         known = self.round_trip_s or math.inf
         measured = min(known, seconds) if held else _lower(known, seconds)
         self.round_trip_s = min(measured, LONGEST_S)
+        if not self.link_measured:
+            slow_s = max(0.0, self.round_trip_s - JITTER_S)
+            self.byte_s = min(UNKNOWN_BYTE_S, slow_s / SHORT_BYTES)
 
     def batch_answered(self, elapsed: float, trials_s: float, size: int) -> None:
         """Take the time that a batch took when nothing else was with the server.
@@ -59,6 +64,7 @@ class Pace(msgspec.Struct, eq=False):
         """
         if size < MEASURABLE_BYTES:
             self.asked(max(0.0, elapsed - trials_s))
+            self.byte_s = self.byte_s if self.link_measured else 0.0
         else:
             measured = max(0.0, self._on_link(elapsed, trials_s)) / size
             known = self.byte_s if self.link_measured else math.inf

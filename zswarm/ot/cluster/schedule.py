@@ -49,7 +49,9 @@ class Schedule(msgspec.Struct, eq=False):
     serving: dict[str, RemoteServer] = {}  # servers that can be given work
     slots: int = 0  # of these
     fits: int = 1  # trials that fit into a message
-    trial_bytes: float = 1.0  # of a trial on a link
+    _genome_bytes: float = 0.0  # of a trial's candidates
+    _trial_bytes: float = 1.0  # of a trial on a link beside them
+    _alike: float = 1.0  # trials in a row of the same candidates
     _rate: float = 0.0  # trials per second of all that serve
     _end: float = 0.0  # of all that waits, as estimated last
     _stale_at: float = -math.inf
@@ -57,15 +59,18 @@ class Schedule(msgspec.Struct, eq=False):
     def begin(self, workload: Workload, terms: Terms) -> None:
         """Schedule the trials of a workload."""
         participants = terms.participants
-        sizes = [0] if terms.reserve.asks else list(map(len, workload.genomes))
-        sent = (max(sizes, default=0) + 16) * participants + 16
+        genomes = [] if terms.reserve.asks else workload.genomes
+        sent = (max(map(len, genomes), default=0) + 16) * participants + 16
         answered = 8 * (participants + terms.metrics) + 4
         by_bytes = BATCH_BYTES // max(sent, answered)
         self.fits = min(
             messages.MAX_TRIALS, messages.MAX_GENOMES // participants, by_bytes
         )
-        genomes = sum(sizes) / max(1, len(workload.seeds))
-        self.trial_bytes = genomes + 16 * participants + answered
+        trials = len(workload.seeds)
+        candidates = max(1, len(genomes))
+        self._genome_bytes = sum(map(len, genomes)) / candidates * participants
+        self._trial_bytes = 16 * participants + answered
+        self._alike = max(1.0, trials * participants / candidates)
         self.restart()
 
     def serve(self, serving: dict[str, RemoteServer]) -> None:
@@ -83,7 +88,16 @@ class Schedule(msgspec.Struct, eq=False):
         """Return the trials per second of a server; 0.0 if none was measured."""
         if not (server.pace.trial_s and server.ready):
             return 0.0
-        return 1.0 / server.pace.each_s(server.ready, self.trial_bytes)
+        return 1.0 / server.pace.each_s(server.ready, self._bytes_each(server))
+
+    def _bytes(self, trials: int) -> float:
+        """Return the bytes of some trials in a row on a link, at most: some share candidates."""
+        genomes = min(trials, 1 + math.ceil((trials - 1) / self._alike))
+        return genomes * self._genome_bytes + trials * self._trial_bytes
+
+    def _bytes_each(self, server: RemoteServer) -> float:
+        """Return the bytes of each of as many trials as a server has slots."""
+        return self._bytes(server.ready) / max(1, server.ready)
 
     def computed(self, server: RemoteServer, seconds: float, trials: int) -> None:
         """Take the seconds that a server computed for some trials."""
@@ -105,6 +119,7 @@ class Schedule(msgspec.Struct, eq=False):
         server, now = batch.server, self.out.now
         batch.sent_at = server.pace.batch_at = now
         batch.due, batch.alone = self.due(server, batch.missing), alone
+        server.pace.sent_by = self._sent_by(server, batch.missing)
 
     def answered(self, batch: SentBatch, trial_s: float) -> None:
         """Measure by a batch that was answered, whose trials took that long."""
@@ -141,7 +156,7 @@ class Schedule(msgspec.Struct, eq=False):
             return 0
         size = max(lacking, self._size_by_time(server))
         if not server.pace.link_measured and len(self.serving) > 1:
-            first = server.pace.first_trials(self.trial_bytes)
+            first = server.pace.first_trials(self._bytes(1))
             if missing >= first:
                 return 0
             size = min(size, first - missing)
@@ -164,7 +179,8 @@ class Schedule(msgspec.Struct, eq=False):
         pace = server.pace
         if not pace.trial_s:
             return 0
-        each_s, serving = pace.each_s(server.ready, self.trial_bytes), len(self.serving)
+        each_s = pace.each_s(server.ready, self._bytes_each(server))
+        serving = len(self.serving)
         parts = 2 * DEPTH if serving > 1 else 1
         share = self.queue.count / (each_s * max(self._rate, 1e-9) * parts)
         smallest_s = max(SMALLEST_BATCH_S, pace.round_trip_s)
@@ -175,14 +191,19 @@ class Schedule(msgspec.Struct, eq=False):
 
     def due(self, server: RemoteServer, trials: int) -> float:
         """Return when trials are expected to be done that are sent to a server now."""
-        pace, now = server.pace, self.out.now
-        begin = now + pace.round_trip_s + trials * self.trial_bytes * pace.byte_s
+        pace = server.pace
+        begin = self._sent_by(server, trials) + pace.round_trip_s
         if batches := server.batches.values():
             missing = sum([batch.missing for batch in batches])
             if missing + trials > server.ready:
                 latest = max([batch.due for batch in batches])
                 begin = max(begin, self._end_of(server, latest, missing))
         return begin + pace.trials_s(trials, server.ready)
+
+    def _sent_by(self, server: RemoteServer, trials: int) -> float:
+        """Return when trials are expected to be through the link that are sent now."""
+        begin = max(self.out.now, server.pace.sent_by) if server.batches else self.out.now
+        return begin + self._bytes(trials) * server.pace.byte_s
 
     def ends(self, batch: SentBatch) -> float:
         """Return when a batch is expected to be done; one that is late, in as long again."""
@@ -195,7 +216,7 @@ class Schedule(msgspec.Struct, eq=False):
         if due <= now:
             return 2 * now - due
         # Slots may have become ready since it was sent.
-        on_link_s = missing * self.trial_bytes * pace.byte_s
+        on_link_s = self._bytes(missing) * pace.byte_s
         backlog_s = on_link_s + pace.trials_s(missing, server.ready)
         return min(due, now + pace.round_trip_s + backlog_s)
 
@@ -263,7 +284,7 @@ class Schedule(msgspec.Struct, eq=False):
     def _rounds(self, server: RemoteServer) -> list[tuple[float, float, int]]:
         """Return rounds of a server: when the first ends, seconds of a further one, trials."""
         pace = server.pace
-        link_s, trial_s = self.trial_bytes * pace.byte_s, pace.trial_s
+        link_s, trial_s = self._bytes_each(server) * pace.byte_s, pace.trial_s
         first = self.out.now + pace.round_trip_s + link_s + trial_s
         ends = [self.ends(batch) for batch in server.batches.values()]
         if link_s * server.ready > trial_s:

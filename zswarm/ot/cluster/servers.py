@@ -109,7 +109,7 @@ class Servers(msgspec.Struct, eq=False):
         server, verb = self.by_id.get(query.server), query.verb
         if server is None or query.question != server.question:
             return  # to Cancel or Release, or its server has left the phase in which it was asked
-        server.question = 0
+        server.question, asked_at = 0, server.asked_at  # it may be asked at once again
         if server.phase == Phase.LEAVING:
             return  # it is asked again when it is back
         match verb, reply:
@@ -127,7 +127,7 @@ class Servers(msgspec.Struct, eq=False):
                 self._not_answered(server, verb)
                 return
         server.unanswered, server.silence_reported = 0, False
-        server.pace.asked(self.out.now - server.asked_at, held=verb == "renew")
+        server.pace.asked(self.out.now - asked_at, held=verb == "renew")
 
     def ask_due(self) -> None:
         """Ask the servers whose time has come, and end pauses."""

@@ -42,12 +42,17 @@ class Watch(msgspec.Struct, eq=False):
     def hint(self, item: object, standing: Standing) -> None:
         """Report once that no server is found, if other machines are asked for.
 
+        Start this machine's slots again if something killed them.
+
         Raises:
             EvaluationError: this machine's slots refused, and no others can be expected.
             Stopped: the run is to end.
         """
         self.check()
         options, local = self.options, self.local
+        if local is not None and (line := local.start_again()):
+            self.say(line)
+            self.begin()
         if isinstance(item, Note):
             self._met = self._met or (bool(item.server) and not is_local(item.server))
             others = bool(options.require) and options.servers != "local"

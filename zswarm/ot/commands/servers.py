@@ -140,10 +140,8 @@ def _show_table(
     through_router: bool,
 ) -> None:
     offers = [server.offer for server in servers if server.offer is not None]
-    slots, free = (
-        sum(offer.capacity for offer in offers),
-        sum(offer.free for offer in offers),
-    )
+    slots = sum(offer.capacity for offer in offers)
+    free = sum(offer.free for offer in offers)
     counts = f"{plural(len(servers), 'server')}, {plural(slots, 'slot')}, {free} free"
     tables.line(f"realm {realm}: {counts}\n")
     columns = [

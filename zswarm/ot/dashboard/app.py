@@ -56,11 +56,9 @@ def application(index: RunIndex) -> Starlette:
 
 class _Dashboard:
     def __init__(self, index: RunIndex) -> None:
-        self.index, self.broadcaster, self.replays = (
-            index,
-            Broadcaster(index),
-            ReplayCache(),
-        )
+        self.index = index
+        self.broadcaster = Broadcaster(index)
+        self.replays = ReplayCache()
 
     async def runs(self, _: Request) -> Response:
         return _json(await asyncio.to_thread(self.index.rows))
@@ -76,10 +74,8 @@ class _Dashboard:
         return folder
 
     async def answer(self, request: Request) -> Response:
-        answer, folder = (
-            endpoints.BY_NAME[request.path_params["name"]],
-            await self.folder(request),
-        )
+        answer = endpoints.BY_NAME[request.path_params["name"]]
+        folder = await self.folder(request)
         value = await asyncio.to_thread(lambda: answer(Run(folder), request.query_params))
         return (
             Response(value, media_type="text/csv")

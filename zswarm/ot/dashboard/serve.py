@@ -39,11 +39,9 @@ def serve(
     Raises:
         ConfigError: the address or the port cannot be used.
     """
-    listening, name, token = (
-        _listen(host, port),
-        socket.gethostname(),
-        secrets.token_urlsafe(24),
-    )
+    listening = _listen(host, port)
+    name = socket.gethostname()
+    token = secrets.token_urlsafe(24)
     closed = host not in LOOPBACK or bool(allowed)  # other machines may reach it
     names = [*allowed, name] if closed else allowed
     app = Guard(application(RunIndex(folders)), hosts=names, token=token, closed=closed)

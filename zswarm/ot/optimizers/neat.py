@@ -187,10 +187,8 @@ class NEAT(BaseOptimizer):
 
     def _allowed(self) -> set[int]:
         """Return the species that may have offspring: those that do not stagnate."""
-        count, best = (
-            len(self._species),
-            [species.members[0] for species in self._species],
-        )
+        count = len(self._species)
+        best = [species.members[0] for species in self._species]
         order = sorted(range(count), key=lambda index: best[index].rank)
         if self.relative:
             return set(order)

@@ -57,10 +57,8 @@ def table(trace: Trace) -> tuple[list[str], Iterator[list[object]]]:
 
 
 def _rows(trace: Trace) -> Iterator[list[object]]:
-    agents, table = (
-        len(trace.owners),
-        np.dstack((trace.inputs, trace.outputs, trace.hidden)),
-    )
+    agents = len(trace.owners)
+    table = np.dstack((trace.inputs, trace.outputs, trace.hidden))
     blank = [None] * table.shape[2]
     for number in range(max(len(trace.frames), len(table))):
         bodies = trace.frames[number].bodies if trace.frames else [None] * agents

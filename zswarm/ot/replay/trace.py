@@ -100,10 +100,8 @@ def trace(
     problem = Problem(run.experiment)
     what = f"trial {trial} of candidate {candidate} in generation {generation}"
     recorded = _recorded(run, problem, (generation, candidate, trial), what)
-    players, number = (
-        recorded.get("candidates", [candidate]),
-        recorded.get("trial", trial),
-    )
+    players = recorded.get("candidates", [candidate])
+    number = recorded.get("trial", trial)
     seed = int(problem.trial_seeds(generation)[number])
     for player in players:
         if player not in candidates:
@@ -117,10 +115,8 @@ def trace(
     except ValueError as error:
         why = f"a genome does not fit its network: {error}"
         raise ConfigError(f"{run.shown}: damaged: {why}") from None
-    simulator, network = (
-        run.experiment.problem.simulator,
-        run.experiment.representation.kind,
-    )
+    simulator = run.experiment.problem.simulator
+    network = run.experiment.representation.kind
     theirs, ours = run.meta.get("version_hash"), version_hash(simulator, network)
     note = _difference(found, recorded)
     if note and theirs != ours:
@@ -257,10 +253,8 @@ class _Watched:
     def _add(self) -> None:
         self._draw()
         self._numbers.append(self._now)
-        count, bodies = (
-            len(self._numbers),
-            len(self.frames[-1].bodies) if self.frames else 0,
-        )
+        count = len(self._numbers)
+        bodies = len(self.frames[-1].bodies) if self.frames else 0
         too_many = count >= MOST_FRAMES or count * bodies >= MOST_POSITIONS
         if too_many or count * self._now.size >= MOST_NUMBERS:
             self.frames, self._numbers = self.frames[::2], self._numbers[::2]
@@ -286,10 +280,8 @@ def _recorded(
         for one in run.trials(generation)
         if candidate in one.get("candidates", (one.get("candidate"),))
     ]
-    by_number, count = (
-        {one["trial"]: one for one in trials},
-        problem.experiment.problem.trials,
-    )
+    by_number = {one["trial"]: one for one in trials}
+    count = problem.experiment.problem.trials
     if problem.simulator.participants > 1:
         by_number, count = dict(enumerate(trials)), len(trials)
     if not 0 <= trial < count:

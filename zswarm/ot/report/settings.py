@@ -25,6 +25,8 @@ def settings_rows(complete: experiment.Experiment) -> list[SettingRow]:
         tables[key] for key in ("problem", "representation", "optimizer", "ranking")
     )
     settings = problem.pop("settings")
+    ranking_defaults = _defaults(sections.RankingKind)
+    ranking_defaults |= _part_defaults("ranking", ranking["kind"])
     if ranking["kind"] == sections.ABSOLUTE:
         ranking = {}
     rows = [SettingRow(key, str(tables[key])) for key in ("name", "seed", "generations")]
@@ -33,7 +35,7 @@ def settings_rows(complete: experiment.Experiment) -> list[SettingRow]:
         ("problem.settings", settings, _part_defaults("simulator", problem["simulator"])),
         ("representation", network, _part_defaults("representation", network["kind"])),
         ("optimizer", optimizer, _part_defaults("optimizer", optimizer["kind"])),
-        ("ranking", ranking, _ranking_defaults(complete.ranking.kind)),
+        ("ranking", ranking, ranking_defaults),
         ("cluster", tables["cluster"], _defaults(sections.ClusterConfig)),
     ):
         for key, value in values.items():
@@ -61,10 +63,6 @@ def _defaults(struct: type[msgspec.Struct]) -> dict[str, Any]:
         for field in msgspec.structs.fields(struct)
         if not field.required
     }
-
-
-def _ranking_defaults(kind: str) -> dict[str, Any]:
-    return _defaults(sections.RankingKind) | _part_defaults("ranking", kind)
 
 
 def _part_defaults(kind: plugins.Kind, name: str) -> dict[str, Any]:

@@ -38,11 +38,9 @@ def plan(
     Raises:
         ConfigError: a setting is impossible.
     """
-    variants, taken, planned = (
-        experiment.variants(complete, where),
-        set[str](),
-        list[Planned](),
-    )
+    variants = experiment.variants(complete, where)
+    taken = set[str]()
+    planned = list[Planned]()
     found = found or {}
     for seed in range(complete.seed, complete.seed + complete.study.repeat):
         for settings, variant in variants:

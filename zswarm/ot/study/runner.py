@@ -113,10 +113,8 @@ class Player:
             self._leave()
 
     def _begin(self, planned: Planned) -> None:
-        computes, logger = (
-            self._connection.who_computes(),
-            self._logger.run_logger(planned),
-        )
+        computes = self._connection.who_computes()
+        logger = self._logger.run_logger(planned)
         line = f"{planned.experiment.name}: {computes}"
         running = self._running[planned.name] = _Running(
             planned, logger, self._inbox, line

@@ -157,10 +157,8 @@ def _call(callee: Callee) -> str:
 def _digests(controller: Controller, observations: np.ndarray) -> list[np.uint32]:
     """Return the digest of the state after each step, as the self-test computes it."""
     network, parameters = controller.network()
-    state, action = (
-        np.zeros(network.state_size, np.float32),
-        np.zeros(network.outputs, np.float32),
-    )
+    state = np.zeros(network.state_size, np.float32)
+    action = np.zeros(network.outputs, np.float32)
     digests = []
     for observation in observations:
         network.step(parameters, state, observation, action)

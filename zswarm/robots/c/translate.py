@@ -132,12 +132,10 @@ class Translation(CFile):
         settled, types = False, ""
         while not settled:
             body.constants = constants.copy()
-            body.lines, body.made, body.declared, body.written = (
-                [],
-                0,
-                set(arguments),
-                set(),
-            )
+            body.lines = []
+            body.made = 0
+            body.declared = set(arguments)
+            body.written = set()
             ends = body.block(source.tree.body)
             before, types = types, repr((body.locals, body.result))
             settled = types == before

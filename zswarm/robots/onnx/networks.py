@@ -268,11 +268,9 @@ def _bulk(
     network: Bulk, genome: bytes, observation: OnnxValue, before: OnnxValue
 ) -> Decided:
     """Write all parts; the decision and the new memory of one are chosen."""
-    graph, parts, selector = (
-        observation.graph,
-        network.settings.parts,
-        network.settings.input,
-    )
+    graph = observation.graph
+    parts = network.settings.parts
+    selector = network.settings.input
     size, length = len(genome) // parts, memory(network.part).length
     number = _to_int(observation[selector : selector + 1] + np.float32(0.5))
     part = number.op("Min", [parts - 1]).op("Max", [0])

@@ -8,6 +8,7 @@ import json
 import os
 import re
 import secrets
+import select
 import shutil
 import subprocess
 import sys
@@ -75,23 +76,46 @@ class Supervisor:
         limit_s: float = 0.0,
     ) -> LaunchEnded:
         """Run a program to its end, or for at most ``limit_s`` if that is not 0."""
-        output = self.folder / "output"
+        self.start(command, cwd, environment, limit_s)
+        return self._end()
+
+    def start(
+        self,
+        command: Sequence[str],
+        cwd: Path,
+        environment: Mapping[str, str],
+        limit_s: float = 0.0,
+    ) -> None:
+        """Have a program run; see ``ended``."""
+        self._program, self._output = command[0], self.folder / "output"
         request = {
             "command": list(command),
             "cwd": str(cwd),
             "environment": dict(environment),
-            "output": str(output),
+            "output": str(self._output),
             "limit_s": limit_s,
         }
         assert self._process.stdin  # noqa: S101  a pipe
         with contextlib.suppress(BrokenPipeError):  # there is no answer then
             self._process.stdin.write(json.dumps(request).encode() + b"\n")
             self._process.stdin.flush()
+
+    def ended(self) -> LaunchEnded | None:
+        """Return how the program that was started ended; None: it runs."""
+        assert self._process.stdout  # noqa: S101  a pipe
+        answers = select.poll()
+        answers.register(self._process.stdout, select.POLLIN)
+        return self._end() if answers.poll(0) else None
+
+    def _end(self) -> LaunchEnded:
+        """Wait until the program ended."""
         answer = self._answer()
         if "failed" in answer:
-            raise EvaluationError(f"{command[0]} cannot be started: {answer['failed']}")
-        with output.open("rb") as file:
-            file.seek(max(0, output.stat().st_size - READ))
+            raise EvaluationError(
+                f"{self._program} cannot be started: {answer['failed']}"
+            )
+        with self._output.open("rb") as file:
+            file.seek(max(0, self._output.stat().st_size - READ))
             text = COLOURS.sub("", file.read().decode(errors="replace"))
         return LaunchEnded(answer["code"], text)
 

@@ -34,7 +34,7 @@ class Child:
     """A bridge, started.
 
     Attributes:
-        greeting: the body of its first frame.
+        greeting: the body of its first control frame.
     """
 
     def __init__(
@@ -76,14 +76,10 @@ class Child:
         self._received: collections.deque[tuple[int, bytes]] = collections.deque()
         try:
             self.write(frames.frame(frames.CONTROL, json.dumps(set_up).encode()))
-            first = self.next(START_S)
-            if first is None:
-                text = f"{name} was not ready within {START_S:g} s{wrote(self._stderr())}"
-                raise EvaluationError(text)
+            self.greeting = self._await_greeting()
         except BaseException:
             self.close()
             raise
-        self.greeting = first[1]
 
     def write(self, body: bytes | bytearray) -> None:
         """Write frames; frames that arrive meanwhile are queued."""
@@ -123,6 +119,19 @@ class Child:
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
         self._errors.close()
+
+    def _await_greeting(self) -> bytes:
+        """Return the body of its first control frame; others, which may overtake it, are queued."""
+        deadline = time.monotonic() + START_S
+        early: list[tuple[int, bytes]] = []
+        while (frame := self.next(max(0.0, deadline - time.monotonic()))) is not None:
+            if frame[0] == frames.CONTROL:
+                self.put_back(early)
+                return frame[1]
+            early.append(frame)
+        raise EvaluationError(
+            f"{self._name} was not ready within {START_S:g} s{wrote(self._stderr())}"
+        )
 
     def _read(self) -> None:
         try:

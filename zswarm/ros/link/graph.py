@@ -1,9 +1,11 @@
 """The ROS graph of a program: a master, a domain, or Zenoh endpoints; and private ones."""
 
 import contextlib
+import os
 import socket
 from collections.abc import Iterator
 from typing import Annotated, Literal
+from urllib.parse import urlsplit
 
 import msgspec
 
@@ -13,6 +15,7 @@ from zswarm.ros.link.child import Child, command
 
 LinkKind = Literal["rospy", "rclpy", "zenoh"]
 LOOPBACK = "127.0.0.1"
+DEFAULT_MASTER = "http://localhost:11311"  # of ROS 1, without ROS_MASTER_URI
 # Their ports are outside the ephemeral ranges of systems (docs of ROS 2).
 DOMAINS = range(1, 102)
 # Distributions without ROS_AUTOMATIC_DISCOVERY_RANGE.
@@ -37,6 +40,16 @@ class RosGraph(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """Return the same for the side that listens: a simulation that a slot starts."""
         return msgspec.structs.replace(self, connect=[], listen=self.connect)
 
+    def identity(self) -> "RosGraph":
+        """Return the same, with the master's address in one spelling, for locks."""
+        if self.link != "rospy":
+            return self
+        uri = urlsplit(
+            self.master or os.environ.get("ROS_MASTER_URI", "") or DEFAULT_MASTER
+        )
+        address = _address(uri.hostname or LOOPBACK)
+        return msgspec.structs.replace(self, master=f"http://{address}:{uri.port or 80}")
+
     def environment(self, distribution: str) -> dict[str, str]:
         """Return the environment variables that a distribution's programs read."""
         found, local = {}, {}
@@ -49,6 +62,20 @@ class RosGraph(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             if distribution in BEFORE_RANGES:
                 local = {"ROS_LOCALHOST_ONLY": "1"}
         return found | local if self.local else found
+
+
+def _address(host: str) -> str:
+    """Return the IPv4 address of a host: loopback for this machine's, its name if unknown."""
+    try:
+        address = socket.gethostbyname(host)
+    except OSError:
+        return host
+    with socket.socket() as probe:
+        try:
+            probe.bind((address, 0))
+        except OSError:  # of another machine
+            return address
+    return LOOPBACK
 
 
 @contextlib.contextmanager

@@ -11,7 +11,7 @@ Example::
 
 import os
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Any, Literal, Self
 
 from zswarm.errors import ConfigError, EvaluationError
@@ -32,7 +32,8 @@ class Link:
     """Publishes and receives the topics of a profile, for one side.
 
     The simulation publishes clock, scans, odometry and ground truth, and receives velocities and
-    resets; controllers do the opposite. Messages sent before ``ready`` may be lost.
+    resets; controllers do the opposite. Messages sent before ``ready`` may be lost. Where the reset
+    is a service, controllers receive a ``ResetWorld`` when a call of it returned.
     """
 
     def __init__(
@@ -99,12 +100,14 @@ class Link:
         timeout_s: float,
         channels: Collection[Channel] | None = None,
         either: Collection[Channel] = (),
+        check: Callable[[], object] = lambda: None,
     ) -> None:
         """Wait until topics are connected. Once both sides waited, no message is lost.
 
         Args:
             channels: those that must be connected; None: all of the link.
             either: of these, one must be, too.
+            check: called meanwhile; it raises where waiting is in vain.
 
         Raises:
             EvaluationError: not in time, with the topics that have no other side; or the child
@@ -114,6 +117,7 @@ class Link:
         while missing := self._missing(self._connections(deadline), channels, either):
             if time.monotonic() > deadline:
                 raise EvaluationError(f"{self._shown(missing)} after {timeout_s:g} s")
+            check()
             time.sleep(POLL_S)
 
     def send(self, messages: Sequence[Message]) -> None:
@@ -189,13 +193,20 @@ class Link:
     def _shown(self, numbers: list[int]) -> str:
         """Describe topics without another side."""
         texts = []
-        for verb, publish in (("subscribes to", True), ("publishes", False)):
+        for verb in ("offers the service", "subscribes to", "publishes"):
             topics = [self._described[number] for number in numbers]
-            names = [topic["name"] for topic in topics if topic["publish"] is publish]
+            names = [topic["name"] for topic in topics if _verb(topic) == verb]
             if names:
                 more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
                 texts.append(f"no node {verb} {', '.join(names[:SHOWN])}{more}")
         return "; ".join(texts)
+
+
+def _verb(topic: dict[str, Any]) -> str:
+    """Return what the other side of a topic does."""
+    if topic["type"] == frames.EMPTY:
+        return "offers the service"
+    return "subscribes to" if topic["publish"] else "publishes"
 
 
 def _describe(

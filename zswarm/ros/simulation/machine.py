@@ -4,9 +4,10 @@
 names it; no message on the wire holds an address, a path or a profile's file.
 """
 
+import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import msgspec
 from msgspec import Meta
@@ -33,7 +34,14 @@ class MachineSimulation(
     master: str = ""  # rospy: URI; empty: ROS_MASTER_URI
     domain: Annotated[int, Meta(ge=0, le=232)] = 0  # rclpy, zenoh
     connect: list[str] = []  # zenoh: endpoints to dial
+    # Starts it for each slot, in a graph of its own, from the folder of the file.
+    launch: str = ""
     description: str = ""
+
+    @property
+    def command(self) -> list[str]:
+        """The words of ``launch``, as a shell splits them."""
+        return shlex.split(self.launch)
 
     def graph(self) -> RosGraph:
         """Return the graph in which it runs."""
@@ -46,8 +54,16 @@ class MachineSimulation(
         )
 
 
-def find(name: str) -> tuple[MachineSimulation, Profile]:
-    """Return the simulation of a name, and its profile.
+class FoundSimulation(NamedTuple):
+    """A simulation of this machine."""
+
+    simulation: MachineSimulation
+    profile: Profile
+    folder: Path  # of its file
+
+
+def find(name: str) -> FoundSimulation:
+    """Return the simulation of a name.
 
     Raises:
         ConfigError: this machine has none of that name, or its file is not valid. Its text holds
@@ -69,7 +85,7 @@ def find(name: str) -> tuple[MachineSimulation, Profile]:
         ) from None
 
 
-def read(path: Path) -> tuple[MachineSimulation, Profile]:
+def read(path: Path) -> FoundSimulation:
     """Read a file, and the profile that it names.
 
     Raises:
@@ -84,4 +100,23 @@ def read(path: Path) -> tuple[MachineSimulation, Profile]:
             f"{path}: profile {named} has no clock, which shows that robots are simulated; "
             "expected one that has, or real_robots = true"
         )
-    return found, profile
+    if found.launch:
+        _check_launch(path, found)
+    return FoundSimulation(found, profile, path.parent)
+
+
+def _check_launch(path: Path, found: MachineSimulation) -> None:
+    """Refuse what does not go with ``launch``."""
+    try:
+        command = found.command
+    except ValueError as error:
+        raise ConfigError(f"{path}: launch: {error}; expected a command") from None
+    if not command:
+        raise ConfigError(f"{path}: launch: expected a command")
+    if found.link == "zenoh":
+        raise ConfigError(f'{path}: launch: expected link = "rospy" or "rclpy"')
+    if found.master or found.domain or found.real_robots:
+        raise ConfigError(
+            f"{path}: launch: each slot has its own master or domain, and simulated robots; "
+            "expected no master, domain or real_robots"
+        )

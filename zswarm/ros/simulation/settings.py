@@ -17,6 +17,10 @@ LINK = "own: zenoh: ROS 2 as rmw_zenoh speaks it, without ROS here; rclpy: ROS 2
 PROFILE = "own: a bundled profile; empty: stageros for rospy, else stage_ros2"
 SIMULATION = "own: each slot starts a simulation node; else the name of a server's file"
 MODE = "lock-step: waits for the robots; free-running: does not wait, is not repeatable"
+MISSED = "share of a trial's steps without a decision above which it is a fault"
+REPEATABLE = (
+    "a server's file and lock-step: the same simulation on all servers; they are compared"
+)
 RATE = "own and free-running: speed as a multiple of real time"
 
 
@@ -38,12 +42,19 @@ class RosSettings(
     deadline_s: Annotated[
         float, about("s for the simulation to answer", ge=0.1, le=1e5)
     ] = 10.0
+    repeatable: Annotated[bool, about(REPEATABLE)] = False
+    missed_limit: Annotated[float, about(MISSED, ge=0, le=1)] = 0.2
 
     def __post_init__(self) -> None:
         if self.simulation != OWN and (self.profile or self.link != "zenoh"):
             raise ValueError(
                 f"simulation {self.simulation!r}: link and profile are those of the server's "
                 "file; expected neither here"
+            )
+        if self.repeatable and (self.simulation == OWN or self.mode != "lock-step"):
+            raise ValueError(
+                "repeatable: expected the name of a server's file as simulation, and "
+                'mode = "lock-step"; the slot\'s own simulation is repeatable in lock-step'
             )
 
     @property

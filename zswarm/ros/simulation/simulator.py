@@ -15,9 +15,10 @@ from zswarm.kernels.portable import atan2
 from zswarm.robots.profiles import profile as profiles
 from zswarm.robots.profiles.profile import Profile
 from zswarm.ros.simulation import machine
-from zswarm.ros.simulation.machine import MachineSimulation
+from zswarm.ros.simulation.machine import FoundSimulation
 from zswarm.ros.simulation.settings import OWN, RosSettings
 from zswarm.ros.simulation.simulation import Simulation
+from zswarm.sims.robot_interface import fit
 from zswarm.sims.simulator import Frame, Outcome, Simulator, Turn
 from zswarm.sims.turtlebot_exit import ExitTask, TurtlebotExit
 
@@ -30,11 +31,12 @@ class TurtlebotExitRos(Simulator):
     Observation, action, start, end and fitness: as turtlebot-exit; in lock-step with the same bits.
     Turns: all robots that are still inside, at once, every ``step_s`` of the simulation's clock.
     Metrics: those of turtlebot-exit, and ``late_fraction``: the share of velocities that were sent
-        when the clock was past their scan's stamp; 0 in lock-step.
+        when the clock was past their scan's stamp; ``missed``: the share of steps in which robots
+        did not decide, since the simulation did not wait. Both are 0 in lock-step.
     """
 
     settings_type = RosSettings
-    metrics = (*TurtlebotExit.metrics, "late_fraction")
+    metrics = (*TurtlebotExit.metrics, "late_fraction", "missed")
     sensors, actuators = TurtlebotExit.sensors, TurtlebotExit.actuators
     inputs, outputs = TurtlebotExit.inputs, TurtlebotExit.outputs
     settings: RosSettings
@@ -46,8 +48,8 @@ class TurtlebotExitRos(Simulator):
         self.task = ExitTask(settings)
         self.owners, self.robot = self._inside.owners, self.task.interface
         own = settings.simulation == OWN
-        self.repeatable = own and settings.mode == "lock-step"
-        self._machine: MachineSimulation | None = None
+        self.repeatable = settings.mode == "lock-step" and (own or settings.repeatable)
+        self._machine: FoundSimulation | None = None
         self._profile: Profile | None = None
         if own:
             self._profile = self._checked(profiles.read(settings.profile_or_default))
@@ -59,12 +61,13 @@ class TurtlebotExitRos(Simulator):
     def use_machine(self) -> None:
         """Let trials drive the simulation that a file of this machine names."""
         if self.settings.simulation != OWN:
-            self._machine, profile = machine.find(self.settings.simulation)
-            self._profile = self._checked(profile)
+            self._machine = machine.find(self.settings.simulation)
+            self._profile = self._checked(self._machine.profile)
 
     def reset(self, seed: int) -> Turn:
         """Have the simulation begin a trial."""
         self._seed, self._late, self._sent = seed, 0, 0
+        self._turns, self._passed = 0, 0  # decisions of the trial, and its steps
         with self._running() as simulation:
             simulation.begin(seed, self._scans, self.poses)
         return self.task.begin(self._scans, self.poses)
@@ -76,18 +79,19 @@ class TurtlebotExitRos(Simulator):
         with self._running() as simulation:
             late = simulation.drive(agents, self.task.linear, self.task.angular)
             passed = simulation.look(agents, self._scans, self.poses)
-            self._sent, self._late = (
-                self._sent + len(agents),
-                self._late + late * len(agents),
-            )
+            self._sent += len(agents)
+            self._late += late * len(agents)
             turn, out = self.task.go_on(self._scans, self.poses, passed)
             simulation.halt(agents if turn is None else out)
+            self._count(passed, over=turn is None)
         return turn
 
     def outcome(self) -> Outcome:
         """Return fitness and metrics of the trial that ended."""
         decided = self.task.outcome()
-        return Outcome(decided.fitness, [*decided.metrics, self._late / self._sent])
+        missed = 1 - self._turns / self._passed
+        late = self._late / self._sent
+        return Outcome(decided.fitness, [*decided.metrics, late, missed])
 
     def frame(self) -> Frame:
         """Return the picture of turtlebot-exit."""
@@ -102,6 +106,18 @@ class TurtlebotExitRos(Simulator):
             self._simulation.close()
         self._simulation = None
 
+    def _count(self, passed: int, *, over: bool) -> None:
+        """Count a decision and the steps until the next; refuse a trial that missed too many."""
+        left = self.settings.steps - self._passed
+        self._turns, self._passed = self._turns + 1, self._passed + min(passed, left)
+        missed, limit = self._passed - self._turns, self.settings.missed_limit
+        if missed > limit * (self._passed if over else self.settings.steps):
+            raise EvaluationError(
+                f"{missed} of {self._passed} steps passed without a decision: the simulation is "
+                f"about {self._passed / self._turns:.1f} times too fast for this machine; expected "
+                f"a share of at most {limit:g} (missed_limit): slow it down, see docs/ros.md"
+            )
+
     @contextlib.contextmanager
     def _running(self) -> Iterator[Simulation]:
         """Provide the simulation; its errors are the machine's, and end it."""
@@ -112,6 +128,7 @@ class TurtlebotExitRos(Simulator):
                     f'expected simulation = "{OWN}" here'
                 )
             if self._simulation is None:
+                self._prepare()
                 self._simulation = Simulation(
                     self.settings, self._profile, self.task.interface, self._machine
                 )
@@ -121,6 +138,12 @@ class TurtlebotExitRos(Simulator):
             raise EvaluationError(
                 f"simulator {NAME!r}, trial seed {self._seed}: {error}"
             ) from None
+
+    def _prepare(self) -> None:
+        """Load what a step needs: a simulation that does not wait leaves no time for it."""
+        fit(self._scans[0], 0.0, 1.0, 1.0, np.float32(1), self._scans[0].copy())
+        self.task.begin(self._scans, self.poses)
+        self.task.decide(np.full((self.settings.robots, self.outputs), 0.5, np.float32))
 
     def _checked(self, profile: Profile) -> Profile:
         if self.settings.mode == "free-running" and profile.clock is None:

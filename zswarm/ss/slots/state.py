@@ -148,7 +148,8 @@ class HeldLease(msgspec.Struct, eq=False):
 
     def idle(self, now: float, for_s: float) -> bool:
         """Return whether slots have had nothing to evaluate for so long."""
-        return self.idle_since is not None and now - self.idle_since >= for_s
+        since = None if self.jobs.waiting else self.idle_since
+        return since is not None and now - since >= for_s
 
     def status(self) -> Lease:
         """Return the message that reports the state, as in the table above."""

@@ -28,7 +28,9 @@ from zswarm.ss.slots.leases import LeaseTable
 from zswarm.ss.slots.state import HeldLease, KnownProbe, Renewal, Slot, SlotState
 
 HOLD_RENEWAL_S = 10.0
-IDLE_S = 0.01  # when slots are idle for longer, outcomes are reported before their batch is done
+# When slots are idle for longer, outcomes are reported before their batch is done. The end of a
+# trial that is shorter than SHORT_S is awaited first: the rest would come a round trip later.
+IDLE_S, SHORT_S = 0.01, 0.1
 STOP_S = 2.0  # a stopped chunk that runs longer is killed
 PREPARE_S = 60.0  # to compile, and for the probe's short trials
 PROBE_TIMEOUTS = 2  # trials of the probe that may be long
@@ -111,8 +113,7 @@ class SlotTable:
 
     def next_time(self) -> float:
         """Return when a Tick is due, at the latest, in addition to the regular ones."""
-        since = [lease.unreported_since for lease in self.leases.values()]
-        return min((at + IDLE_S for at in since if at is not None), default=math.inf)
+        return min(map(_report_at, self.leases.values()), default=math.inf)
 
     def busy(self) -> bool:
         """Return whether something needs ticks: a lease, or a slot that stops."""
@@ -305,8 +306,7 @@ class SlotTable:
             chunks = [
                 (slot.chunk, max(0, slot.trial)) for slot in lease.slots if slot.chunk
             ]
-            since = lease.unreported_since
-            lease.jobs.report(chunks, idle=since is not None and now - since >= IDLE_S)
+            lease.jobs.report(chunks, idle=now >= _report_at(lease))
 
     def _overdue(self, slot: Slot, trial: int) -> events.Died | events.Unprepared | None:
         """Return the event that ends a slot's work if it takes too long; else None.
@@ -380,3 +380,11 @@ class SlotTable:
                 lease.renewals.append(renewal)
             else:
                 self._out.answer(renewal.query, lease.status())
+
+
+def _report_at(lease: HeldLease) -> float:
+    """Return when outcomes of a lease are to be reported because its slots are idle."""
+    if lease.unreported_since is None:
+        return math.inf
+    trial_s = lease.jobs.trial_s
+    return lease.unreported_since + IDLE_S + (trial_s if trial_s < SHORT_S else 0.0)

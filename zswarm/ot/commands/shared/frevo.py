@@ -183,10 +183,8 @@ def _result(path: Path, body: bytes) -> FrevoResult:
 
 def _problem(root: Element) -> dict[str, Any]:
     entries = file.entries(root, "problem")
-    source, name = (
-        entries.get("fieldsource", "FIELD_FROM_FILE"),
-        entries.get("Filename", STADIUM),
-    )
+    source = entries.get("fieldsource", "FIELD_FROM_FILE")
+    name = entries.get("Filename", STADIUM)
     if source not in ("FIELD_FROM_FILE", "RANDOM_FIELD"):
         raise ConfigError(
             f"problem: fieldsource: expected FIELD_FROM_FILE or RANDOM_FIELD, not {clean(source)!r}"

@@ -88,12 +88,14 @@ class RclpyTopics(Topics):  # type: ignore[misc]  # found only at run time
         matched = getattr(subscription, "get_publisher_count", None)
         return matched or (lambda: self._node.count_publishers(subscription.topic_name))
 
-    def _call(self, service: str) -> tuple[Send, Count]:
+    def _call(self, service: str, returned: Callable[[], object]) -> tuple[Send, Count]:
         kind = frames.need("std_srvs.srv", NO_SERVICES).Empty
         client = self._node.create_client(kind, service)
-        return lambda _: client.call_async(kind.Request()), lambda: int(
-            client.service_is_ready()
-        )
+
+        def call(_: bytes) -> None:
+            client.call_async(kind.Request()).add_done_callback(lambda _: returned())
+
+        return call, lambda: int(client.service_is_ready())
 
     def _offer(self, service: str, called: Callable[[], object]) -> None:
         def answer(_: Any, response: Any) -> Any:

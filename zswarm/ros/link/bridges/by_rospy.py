@@ -82,7 +82,7 @@ class RospyTopics(Topics):  # type: ignore[misc]  # found only at run time
         count: Count = subscriber.get_num_connections
         return count
 
-    def _call(self, service: str) -> tuple[Send, Count]:
+    def _call(self, service: str, returned: Callable[[], object]) -> tuple[Send, Count]:
         from std_srvs.srv import Empty
 
         def is_offered() -> int:
@@ -93,7 +93,12 @@ class RospyTopics(Topics):  # type: ignore[misc]  # found only at run time
             return 1
 
         proxy = self._rospy.ServiceProxy(service, Empty)
-        return lambda _: proxy(), is_offered
+
+        def call(_: bytes) -> None:
+            proxy()
+            returned()
+
+        return call, is_offered
 
     def _offer(self, service: str, called: Callable[[], object]) -> None:
         from std_srvs.srv import Empty, EmptyResponse

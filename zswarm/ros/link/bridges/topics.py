@@ -41,8 +41,13 @@ class Topics:
         """Subscribe to a topic; return a function that counts publishers."""
         raise NotImplementedError
 
-    def _call(self, service: str) -> tuple[Send, Count]:
-        """Return functions that call an empty service, and whether it exists."""
+    def _call(self, service: str, returned: Callable[[], object]) -> tuple[Send, Count]:
+        """Return functions that call an empty service, and whether it exists.
+
+        Args:
+            service: its name.
+            returned: to be called after each call of the service that returned.
+        """
         raise NotImplementedError
 
     def _offer(self, service: str, called: Callable[[], object]) -> None:
@@ -61,10 +66,12 @@ class Topics:
         )
 
     def _connect_service(self, number: int, topic: dict[str, Any]) -> Count:
-        if topic["publish"]:
-            self.sending[number], count = self._call(topic["name"])
-            return count
         body = frames.frame(number, frames.RESET.pack(0))
+        if topic["publish"]:
+            self.sending[number], count = self._call(
+                topic["name"], lambda: self._write(body)
+            )
+            return count
         self._offer(topic["name"], lambda: self._write(body))
         return lambda: 1
 

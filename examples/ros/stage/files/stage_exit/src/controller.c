@@ -1,0 +1,12 @@
+/* The evolved controller, for node.cpp. zswarm writes candidate.h for each candidate. */
+
+#include "candidate.h"
+
+static zs_candidate_state state;
+
+void controller_reset(void);
+void controller_step(const float observation[10], float action[2]);
+
+void controller_reset(void) { zs_candidate_reset(&state); }
+
+void controller_step(const float observation[10], float action[2]) { zs_candidate_step(&state, observation, action); }
