@@ -25,8 +25,9 @@ COMMANDS = {
     for script in ("runs", "startup", "scaling", "kernels", "dispatch")
 }
 COMMANDS["scale"] = ["-m", "scale"]
+COMMANDS["many_servers"] = ["many_servers.py"]
 COMMANDS["methods"] = ["methods.py"]
-ALONE = ("scale", "methods")  # without peers: in the environment of this
+ALONE = ("scale", "many_servers", "methods")  # without peers: in the environment of this
 
 
 def main() -> None:

@@ -24,6 +24,7 @@ SCRIPTS = {
     "scaling": tables.scaling,
     "runs": tables.runs,
     "scale": tables.scale,
+    "many_servers": tables.many_servers,
     "methods": tables.methods,
 }
 BESIDE = {  # first cell of a row in the README's table: its peer

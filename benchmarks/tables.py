@@ -209,6 +209,24 @@ def named(variant: str, rows: Iterable[Row]) -> str:
     )
 
 
+def many_servers(found: Found) -> str:
+    """Format the processor time of each kind of event, by the number of servers."""
+    kinds = {
+        "answer_us": "a batch is answered",
+        "verified_answer_us": "with `verify`",
+        "join_us": "a server joins",
+        "renewal_us": "a lease is renewed",
+        "tick_us": "time passes",
+    }
+    return markdown(
+        ["servers", *(f"{words}, us" for words in kinds.values())],
+        [
+            [f"{row['servers']:,}", *(f"{row[kind]:.0f}" for kind in kinds)]
+            for row in found["rows"]
+        ],
+    )
+
+
 def startup(found: Found) -> str:
     """Format first results, then memory."""
     first = [row for row in found["rows"] if row["what"] == "first result" and "s" in row]

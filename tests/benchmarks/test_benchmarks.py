@@ -17,7 +17,17 @@ from tests.docs.documents import REPOSITORY
 
 BENCHMARKS = REPOSITORY / "benchmarks"
 RESULTS = BENCHMARKS / "results.json"
-SCRIPTS = ("bench", "dispatch", "methods", "page", "ratios", "runs", "scaling", "startup")
+SCRIPTS = (
+    "bench",
+    "dispatch",
+    "methods",
+    "many_servers",
+    "page",
+    "ratios",
+    "runs",
+    "scaling",
+    "startup",
+)
 ABOUT = {
     "when": "2026-01-01 00:00 UTC",
     "machine": {

@@ -17,7 +17,9 @@ from .world import Node, World
 TICK_S = 0.25
 TRIAL_TIMEOUT_S = 20.0
 TRIALS_S = [0.001, 0.03, 0.2, 0.8, 16.0]  # of a trial
-PROBE, WRONG_PROBE = b"p" * 16, b"w" * 16
+PROBE_BYTES = messages.PROBE_TRIALS * messages.PROBE_DIGEST
+PROBE, WRONG_PROBE = bytes(range(PROBE_BYTES)), b"w" * PROBE_BYTES
+ALONE_S = 0.25  # a process plays trials of the probe for so long before it reports them
 WRONG, LIAR = "-wrong", "-liar"  # ends of the ids of servers that are
 # Of a worker by chance at one trial: one fewer than would put it in quarantine.
 DEATHS = 2
@@ -118,7 +120,9 @@ class Server(Node[events.Event]):
                     link, question = self.pending.pop(command.query)
                     link.answer(question, command.body)
                 case events.PrepareSlot():
-                    self.workers[command.slot].prepare(command.probe)
+                    self.workers[command.slot].prepare(command)
+                case events.PlayProbe():
+                    self.workers[command.slot].play_probe(command)
                 case events.RunChunk():
                     self.workers[command.slot].evaluate(command.work)
                 case events.StopSlot():
@@ -218,8 +222,8 @@ class Worker:
 
         self.server.world.at(delay, lambda: self.server.when_awake(happen))
 
-    def prepare(self, probe: bool) -> None:
-        """Compile and play the probe."""
+    def prepare(self, command: events.PrepareSlot) -> None:
+        """Compile, and play at least one trial of the probe."""
         server, world = self.server, self.server.world
         if self.since is not None:
             world.fail(f"{server.id}: a slot that works is prepared")
@@ -231,8 +235,37 @@ class Worker:
             server.prepare_deaths += 1
             self._later(delay, events.Died(self.index, 0, "while it was prepared"))
         else:
-            digest = (WRONG_PROBE if server.wrong else PROBE) if probe else b""
-            self._later(delay, events.Prepared(self.index, digest, server.trial_s))
+            if not world.chance(0.3):  # it is built before it ends
+                compiling = events.Preparing(self.index, 0, messages.PROBE_TRIALS)
+                life = self.life
+
+                def built() -> None:
+                    if life == self.life:
+                        server.handle(compiling)
+
+                world.at(delay / 2, lambda: server.when_awake(built))
+            count = command.most if server.trial_s < ALONE_S else 1
+            self._played(delay + count * server.trial_s, command.first, count)
+
+    def play_probe(self, command: events.PlayProbe) -> None:
+        """Play further trials of the probe."""
+        server, world = self.server, self.server.world
+        if self.since is not None:
+            world.fail(f"{server.id}: a slot that works is to play the probe")
+        self.since, self.trials = world.now, []
+        seconds = command.count * server.trial_s
+        self._played(seconds, command.first, command.count, loaded=True)
+
+    def _played(
+        self, seconds: float, first: int, count: int, *, loaded: bool = False
+    ) -> None:
+        server, size = self.server, messages.PROBE_DIGEST
+        whole = WRONG_PROBE if server.wrong else PROBE
+        digest = whole[first * size : (first + count) * size]
+        self._later(
+            seconds,
+            events.Prepared(self.index, digest, server.trial_s, first, loaded),
+        )
 
     def evaluate(self, batch: messages.Evaluate) -> None:
         """Play the trials of a chunk."""

@@ -4,7 +4,7 @@ Its environment, none of which changes an outcome:
 ``PACED_FOLDER``: where a server's slots look and write. In it ``pace`` holds how long a trial
 takes, busy or asleep; ``gate`` makes the first trial that sees it wait until it is gone again (it
 is renamed to ``held-<pid>``); ``played`` gets a line per trial, its slot's process, seed and
-action.
+action, and ``probe`` one per trial of the probe.
 """
 
 import contextlib
@@ -65,14 +65,16 @@ class Paced(Simulator):
             if self.seed < PROBE:
                 self.note(f"{os.getpid()} {self.seed} {self.action.hex()}\\n")
                 self.pass_gate()
+            else:
+                self.note(f"{os.getpid()} {self.seed} {self.action.hex()}\\n", "probe")
             self.pace()
         return None
 
     def outcome(self):
         return Outcome([-abs(self.action - self.seed % 5 / 5)], [])
 
-    def note(self, line):
-        played = os.open(FOLDER / "played", os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    def note(self, line, where="played"):
+        played = os.open(FOLDER / where, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         os.write(played, line.encode())
         os.close(played)
 
@@ -157,10 +159,10 @@ class Pace:
         for path in self.folder.glob("held-*"):
             path.unlink()
 
-    def played(self) -> list[Played]:
+    def played(self, where: str = "played") -> list[Played]:
         """Return all trials begun, in order."""
         try:
-            lines = (self.folder / "played").read_text().splitlines()
+            lines = (self.folder / where).read_text().splitlines()
         except FileNotFoundError:
             return []
         return [

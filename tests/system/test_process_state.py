@@ -3,6 +3,7 @@
 import os
 import resource
 import signal
+import subprocess
 import sys
 import threading
 from collections.abc import Callable
@@ -10,61 +11,106 @@ from pathlib import Path
 
 import pytest
 
-from zswarm.system.process_state import left_behind, process_state
+from zswarm.system import process_state as module
+from zswarm.system.process_state import (
+    DESCRIPTORS,
+    StateWatch,
+    left_behind,
+    process_state,
+)
+
+Look = Callable[[], list[str]]  # what was left behind since then
+Begin = Callable[[], Look]
 
 
-def test_nothing_is_left_where_nothing_was_done() -> None:
+def slowly() -> Look:
     before = process_state()
+    return lambda: left_behind(before)
+
+
+@pytest.fixture(params=[slowly, lambda: StateWatch().left_behind], ids=["whole", "often"])
+def look_from_now(request: pytest.FixtureRequest) -> Begin:
+    """Return what begins to look, by either way."""
+    begin: Begin = request.param
+    return begin
+
+
+def test_nothing_is_left_where_nothing_was_done(
+    look_from_now: Begin,
+) -> None:
+    look = look_from_now()
     Path(os.devnull).read_bytes()
     thread = threading.Thread(target=lambda: None)
     thread.start()
     thread.join()
-    assert left_behind(before) == []
+    assert look() == []
 
 
-def test_files_and_streams(tmp_path: Path) -> None:
-    before = process_state()
+def test_files_and_streams(look_from_now: Begin, tmp_path: Path) -> None:
+    look = look_from_now()
     file = tmp_path / "file"
     with file.open("w"):
-        assert left_behind(before) == [f"a file open ({file})"]
+        assert look() == [f"a file open ({file})"]
     reading, writing = os.pipe()
-    with_pipe = process_state()
+    with_pipe = look_from_now()
     os.close(reading)
     os.close(writing)
-    assert left_behind(with_pipe) == ["files closed that it did not open"]
+    assert with_pipe() == ["files closed that it did not open"]
     stdin = os.dup(0)
     with file.open("rb") as opened:
         os.dup2(opened.fileno(), 0)
     os.dup2(stdin, 1 << 9)
     os.close(stdin)
-    assert "another standard stream" in left_behind(before)
+    assert "another standard stream" in look()
     os.dup2(1 << 9, 0)
     os.close(1 << 9)
-    assert left_behind(before) == []
+    assert look() == []
 
 
-def test_an_unreachable_file_is_closed_first(recwarn: pytest.WarningsRecorder) -> None:
-    before = process_state()
+def test_an_unreachable_file_is_closed_first(
+    look_from_now: Begin, recwarn: pytest.WarningsRecorder
+) -> None:
+    look = look_from_now()
     circle: list[object] = [Path(os.devnull).open()]  # noqa: SIM115
     circle.append(circle)
     del circle
-    assert left_behind(before) == []
+    assert look() == []
     recwarn.clear()
 
 
-def test_threads() -> None:
-    before = process_state()
+FIRST_THREAD = """
+import threading
+from zswarm.system.process_state import StateWatch, left_behind, process_state
+
+before, watch = process_state(), StateWatch()
+thread = threading.Thread(target=lambda: None)
+thread.start()
+thread.join()
+print(watch.left_behind(), left_behind(before._replace(files=process_state().files)))
+"""
+
+
+def test_the_first_thread_of_a_process_may_end() -> None:
+    """The C library then handles signals that it did not handle before."""
+    done = subprocess.run(
+        [sys.executable, "-c", FIRST_THREAD], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "[] []\n"
+
+
+def test_threads(look_from_now: Begin) -> None:
+    look = look_from_now()
     done = threading.Event()
     threads = [threading.Thread(target=done.wait) for _ in range(2)]
     threads[0].start()
-    assert left_behind(before) == ["1 thread running"]
+    assert look() == ["1 thread running"]
     threads[1].start()
-    assert left_behind(before) == ["2 threads running"]
-    two = process_state()
+    assert look() == ["2 threads running"]
+    two = look_from_now()
     done.set()
     for thread in threads:
         thread.join()
-    assert left_behind(two) == [], "threads may end"
+    assert two() == [], "threads may end"
 
 
 SOFT, HARD = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -112,25 +158,73 @@ SOFT, HARD = resource.getrlimit(resource.RLIMIT_NOFILE)
     ],
 )
 def test_settings(
-    change: Callable[[], object], undo: Callable[[], object], words: str
+    look_from_now: Begin,
+    change: Callable[[], object],
+    undo: Callable[[], object],
+    words: str,
 ) -> None:
     sys.setrecursionlimit(1000)
     os.umask(0o22)
-    before = process_state()
+    look = look_from_now()
     try:
         change()
-        assert left_behind(before) == [words]
+        assert look() == [words]
     finally:
         undo()
-    assert left_behind(before) == []
+    assert look() == []
 
 
-def test_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = process_state()
+def test_the_working_folder(
+    look_from_now: Begin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    look = look_from_now()
     with monkeypatch.context() as patch:
         patch.chdir(tmp_path)
-        assert left_behind(before) == [f"the working folder changed to {tmp_path}"]
+        assert look() == [f"the working folder changed to {tmp_path}"]
         tmp_path.rmdir()
-        assert left_behind(before) == [
-            "the working folder changed to one that is deleted"
+        assert look() == ["the working folder changed to one that is deleted"]
+
+
+def test_a_file_instead_of_another_is_found(look_from_now: Begin, tmp_path: Path) -> None:
+    """There are as many as before."""
+    closed = os.open(os.devnull, os.O_RDONLY)
+    look = look_from_now()
+    other = os.dup2(closed, 700)
+    os.close(closed)
+    try:
+        assert look() == [
+            f"a file open ({os.devnull})",
+            "files closed that it did not open",
         ]
+    finally:
+        os.close(other)
+
+
+def test_the_whole_state_is_compared_only_if_something_differs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where the system counts descriptors: Linux since 6.2."""
+    watch = StateWatch()
+    compared = []
+    monkeypatch.setattr(module, "left_behind", lambda _: compared.append(1) or [])
+    assert watch.left_behind() == []
+    assert bool(compared) == (os.stat(DESCRIPTORS).st_size == 0)
+    compared.clear()
+    with Path(os.devnull).open():
+        watch.left_behind()
+    assert compared
+
+
+def test_a_watch_whose_descriptors_are_closed_looks_on(tmp_path: Path) -> None:
+    """A simulator may close all that it did not open."""
+    watch = StateWatch()
+    for opened in watch._opened:
+        os.close(opened)
+    module._opened.cache_clear()  # for others
+    assert watch.left_behind() == ["files closed that it did not open"]
+    with (tmp_path / "file").open("w"):
+        watch.begin()
+        assert watch.left_behind() == []
+        os.umask(0o77)
+        assert watch.left_behind() == ["the umask changed to 0077"]
+        os.umask(0o22)

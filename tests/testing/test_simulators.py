@@ -20,7 +20,8 @@ import pytest
 
 from zswarm.kernels.random import Stream
 from zswarm.sims.simulator import Body, Frame, Line, Outcome, Ray, Simulator, Turn
-from zswarm.testing import check_simulator
+from zswarm.testing import check_simulator, simulators
+from zswarm.testing.rules import BrokenRule
 
 MOST_LINES = 44  # of the contract: a screen
 
@@ -413,3 +414,55 @@ def test_an_invalid_picture_is_reported(pictures: Any, text: str) -> None:
     with pytest.raises(AssertionError, match=r"^Drawn\.frame") as raised:
         check_simulator(broken)
     assert text in str(raised.value)
+
+
+def in_module(name: str, source: str, **known: object) -> dict[str, Any]:
+    """Return the names of a module of that name."""
+    module: dict[str, Any] = {"__name__": name, "time": time, **known}
+    exec(source, module)  # noqa: S102  our own
+    return module
+
+
+def test_clocks_that_the_compiler_reads_are_not_the_simulators() -> None:
+    """It also loads libraries that read them, when it is first needed."""
+    world = simulators._World()
+    library = in_module("numpy.f2py", "def load():\n    return time.time()\n")
+    load = {"load": library["load"]}
+    compiler = in_module("numba.core", "def work():\n    return load()\n", **load)
+    loading = in_module("zswarm.kernels.compiler", "def work():\n    load()\n", **load)
+    with world.in_state(1):
+        compiler["work"]()
+        loading["work"]()
+        assert world.used == set()
+        library["load"]()
+        assert world.used == {"time.time"}
+
+
+def test_a_thread_that_ends_meanwhile_hides_no_leak_and_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of a test's own program, for example; and a simulator may replace one each trial."""
+    monkeypatch.setattr(simulators, "MOST", 5)
+    ends = [threading.Event() for _ in range(10)]
+    for end in ends:
+        threading.Thread(target=end.wait, daemon=True).start()
+
+    def replace() -> None:
+        running = threading.Event()
+        threading.Thread(target=running.wait, daemon=True).start()
+        if kept:
+            kept.pop().set()
+        kept.append(running)
+
+    def leave() -> None:
+        ends.pop().set()
+        time.sleep(0.01)
+        held.append(threading.Event())
+        threading.Thread(target=held[-1].wait, daemon=True).start()
+
+    kept: list[threading.Event] = []
+    simulators._check_leaks(replace)
+    with pytest.raises(BrokenRule, match="each trial leaks 1 threads;"):
+        simulators._check_leaks(leave)
+    for end in [*ends, *kept]:
+        end.set()

@@ -7,6 +7,7 @@ import functools
 import os
 import secrets
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -41,6 +42,7 @@ class Cache(FunctionCache):
         self._cache_file = CacheFile(  # type: ignore[no-untyped-call]
             self._cache_path, self._impl.filename_base, locator.get_source_stamp()
         )
+        self.index = Path(self._cache_file._index_path)
 
 
 class CacheFile(IndexDataCacheFile):
@@ -53,6 +55,11 @@ class CacheFile(IndexDataCacheFile):
 
     def _data_name(self, number: int) -> str:  # noqa: ARG002
         return f"{self._index_name.removesuffix('.nbi')}.{secrets.token_hex(8)}.nbc"
+
+
+def is_cached(function: Callable[..., Any]) -> bool:
+    """Return whether a program compiled a function before, for any types."""
+    return Cache(function).index.exists()
 
 
 def compiled(

@@ -41,6 +41,7 @@ __all__ = [
     "int64",
     "interpreted",
     "kernel",
+    "not_compiled",
     "sqrt",
     "uint8",
     "uint64",
@@ -143,21 +144,25 @@ def kernel(signature: tuple[Any, ...]) -> Any:
     return declare
 
 
-def inline(function: Any = None, *, counts: bool = True, inner: bool = False) -> Any:
+def inline(
+    function: Any = None, *, counts: bool = True, inner: bool = False, copied: bool = True
+) -> Any:
     """Declare a function that kernels call.
 
     Args:
         counts: if False, the function is inlined and numba does not count references to arrays,
             which takes two atomic additions for each array argument or row. Such a function must
             neither make nor return arrays, nor call one that does.
+        copied: if False, such a function is called instead of inlined: for large ones, which the
+            compiler takes much memory to inline.
         inner: if True, only compiled functions may call it, which saves a sixth of the compile
             time; a call from Python crashes.
     """
     if function is None:
-        return functools.partial(inline, counts=counts, inner=inner)
+        return functools.partial(inline, counts=counts, inner=inner, copied=copied)
     if PLAIN:
         return function
-    options: dict[str, Any] = {} if counts else {"_nrt": False, "forceinline": True}
+    options: dict[str, Any] = {} if counts else {"_nrt": False, "forceinline": copied}
     if inner:
         options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     return Compiled(function, None, **options)
@@ -167,6 +172,16 @@ def compile_all() -> None:
     """Compile all kernels of the imported modules, so that no trial waits for the compiler."""
     for declared in _kernels:
         _ = declared.dispatcher
+
+
+def not_compiled() -> int:
+    """Return how many of these kernels no program compiled before, so that it takes a while."""
+    if all("dispatcher" in declared.__dict__ for declared in _kernels):
+        return 0
+    from zswarm.kernels import compiler  # which imports numba
+
+    functions = [declared.py_func for declared in _kernels]
+    return sum(not compiler.is_cached(function) for function in functions)
 
 
 @contextlib.contextmanager

@@ -174,6 +174,11 @@ class Lease(Message, frozen=True, tag="lease"):
     probe: Annotated[bytes, Meta(max_length=64)] = b""
     trial_s: Seconds = 0.0  # seconds of one trial of the probe
     reason: Text = ""  # of a failure
+    # While it is preparing: kernels that are compiled, or how many trials of the probe were begun,
+    # and how many there are.
+    compiling: Count = 0
+    probe_begun: Count = 0
+    probe_trials: Count = 0
 
 
 class Outcomes(Message, frozen=True, tag="outcomes"):

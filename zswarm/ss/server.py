@@ -239,6 +239,8 @@ class Server:
                     self._presence.answer(self._queries.pop(command.query), command.body)
                 case events.PrepareSlot():
                     self.workers[command.slot].prepare(command)
+                case events.PlayProbe():
+                    self.workers[command.slot].play_probe(command)
                 case events.RunChunk():
                     self.workers[command.slot].run(command)
                 case events.StopSlot():

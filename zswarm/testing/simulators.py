@@ -12,6 +12,7 @@ import sys
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator, Mapping
+from types import FrameType
 from typing import Any
 from unittest import mock
 
@@ -291,8 +292,7 @@ class _World:
         clock = getattr(time, name)
 
         def read() -> float:
-            caller = str(sys._getframe(1).f_globals.get("__name__"))
-            if caller.partition(".")[0] != "numba":  # it times what it compiles
+            if not _compiles(sys._getframe(1)):
                 self.used.add(f"time.{name}")
             now: float = clock()
             return now + type(now)(later)
@@ -300,33 +300,65 @@ class _World:
         return read
 
 
+def _compiles(frame: FrameType | None) -> bool:
+    """Return whether the compiler is loaded or at work, which reads clocks for itself."""
+    while frame is not None:
+        caller = str(frame.f_globals.get("__name__"))
+        if caller.partition(".")[0] == "numba" or caller == "zswarm.kernels.compiler":
+            return True
+        frame = frame.f_back
+    return False
+
+
 def _check_leaks(play: Callable[[], object]) -> None:
-    """Play a trial repeatedly. A count that grows each time leaks; one that stops is a cache."""
-    held: list[dict[str, int]] = []
-    least: dict[str, int] = {}
+    """Play a trial repeatedly. What is new after each one, and stays, leaks; a cache stops."""
+    new: list[dict[str, set[Any]]] = []  # for each trial
+    grown: list[int] = []  # bytes
     tracing = tracemalloc.is_tracing()
     tracemalloc.start()
     gc.freeze()  # otherwise each collection would take the time of many trials
     try:
-        for number in range(-1, MOST + 1):  # the first trials may fill caches
+        play()  # the first trials may fill caches
+        play()
+        before, size = _holds(), _traced()
+        for number in range(1, MOST + 1):
             play()
             gc.collect()
-            held.append(_holds())
-            if number > 0:
-                grown = {name: count - held[-2][name] for name, count in held[-1].items()}
-                least = {
-                    name: min(count, least.get(name, count))
-                    for name, count in grown.items()
-                }
-            if number >= LEAST and max(least.values()) <= 0:
+            grown.append(_traced() - size)
+            now = _holds()
+            new.append({name: found - before[name] for name, found in now.items()})
+            leaks = {  # of each trial, at least
+                name: min(len(found[name] & now[name]) for found in new) for name in now
+            }
+            leaks["bytes"] = max(0, min(grown)) // LEAK_BYTES * LEAK_BYTES
+            before, size = now, _traced()
+            if number >= LEAST and not any(leaks.values()):
                 return
     finally:
         gc.unfreeze()
         if not tracing:
             tracemalloc.stop()
-    name, count = next(item for item in least.items() if item[1] > 0)
+    name, count = next(item for item in leaks.items() if item[1])
     text = "close or end what it opens, starts or stores, or use it for all trials"
     raise BrokenRule(f": each trial leaks {count:,} {name}; {text}")
+
+
+def _traced() -> int:
+    """Return the bytes of memory that are in use."""
+    return tracemalloc.get_traced_memory()[0]
+
+
+def _holds() -> dict[str, set[Any]]:
+    """Return the numbers of threads, open files and child processes of this process.
+
+    By their numbers, one that ends hides no new one.
+    """
+    process = psutil.Process()
+    return {
+        "threads": {thread.id for thread in process.threads()},
+        "open files": set(process_state().files),
+        "processes": {child.pid for child in process.children()},
+    }
 
 
 @contextlib.contextmanager
@@ -353,14 +385,3 @@ def _leaving_nothing() -> Iterator[None]:
         "restore or remove it at the end of the trial, or do it once in the constructor"
     )
     require(not left, f": trials leave in their process: {'; '.join(left)}; {text}")
-
-
-def _holds() -> dict[str, int]:
-    """Count memory, open files, threads and child processes of this process."""
-    process = psutil.Process()
-    return {
-        "threads": process.num_threads(),
-        "open files": process.num_fds(),
-        "processes": len(process.children()),
-        "bytes": tracemalloc.get_traced_memory()[0] // LEAK_BYTES * LEAK_BYTES,
-    }

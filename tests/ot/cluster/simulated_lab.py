@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import structs
 
-from tests.ot.cluster.dispatching import PROBE, offer, terms
+from tests.ot.cluster.dispatching import offer, terms
 from zswarm.ot.cluster.dispatch import Dispatch
 from zswarm.ot.cluster.events import (
     Answered,
@@ -212,7 +212,7 @@ class _Server:
                 case events.Answer():
                     self._answer(command)
                 case events.PrepareSlot():
-                    done = events.Prepared(command.slot, PROBE, self.machine.trial_s)
+                    done = events.Prepared(command.slot, bytes(64), self.machine.trial_s)
                     self._later(PREPARE_S, done)
                 case events.RunChunk():
                     self._evaluate(command)

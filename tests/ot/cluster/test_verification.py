@@ -316,7 +316,7 @@ def test_probes_are_compared_as_far_as_both_played_them() -> None:
     assert "plays 2 and decides" in optimizer.notes("server_differs")[0].text
     optimizer.feed(ProbeArbitrated(one + two))
     assert [note.server for note in optimizer.notes("server_wrong")] == ["d"]
-    assert set(optimizer.dispatch.servers.serving()) == {"a", "b", "c"}
+    assert set(optimizer.dispatch.batches.schedule.serving) == {"a", "b", "c"}
 
 
 def test_a_trial_that_was_not_arbitrated_is_disputed_anew() -> None:

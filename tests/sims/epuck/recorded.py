@@ -64,7 +64,7 @@ def world(
         boxes = np.array(walls, np.float64).reshape(-1, WALL_COLUMNS)
         assert boxes[:, CENTRE_X].size == len(walls) < len(made.walls)
         made = made._replace(walls=boxes, outer_walls=0)
-    made.touched[:] = -1_000
+    made.impulses[:] = -1_000.0
     return made
 
 

@@ -5,6 +5,8 @@ from typing import TypeVar
 
 from zswarm.protocol import codec
 from zswarm.protocol.messages import (
+    PROBE_DIGEST,
+    PROBE_TRIALS,
     Evaluate,
     Lease,
     Offer,
@@ -38,7 +40,7 @@ OFFER = Offer(
     simulators=[],
     representations=[],
 )
-PROBE = b"digest"
+PROBE = bytes(range(PROBE_TRIALS * PROBE_DIGEST))
 TIMEOUT_S = 10.0  # of a trial
 
 

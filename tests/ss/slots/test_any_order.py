@@ -11,6 +11,8 @@ import msgspec
 
 from zswarm.protocol import codec, messages
 from zswarm.protocol.messages import (
+    PROBE_DIGEST,
+    PROBE_TRIALS,
     Done,
     Evaluate,
     Fault,
@@ -42,6 +44,7 @@ ANSWERS: dict[
     messages.Release: ((Done,), {"lease-lost"}),
 }
 TRIALS = 6  # in every batch
+PROBE = bytes(range(PROBE_TRIALS * PROBE_DIGEST))
 RUNS = [("ada", "one"), ("ada", "two"), ("bob", "one")]
 UNKNOWN = b"no such lease..."
 WORK: dict[str, Any] = {
@@ -65,7 +68,8 @@ class Process:
     """Track what a slot's process does, by the commands it got."""
 
     def __init__(self) -> None:
-        self.does = ""  # "prepare", "evaluate", or nothing
+        self.does = ""  # "prepare", "play" the probe, "evaluate", or nothing
+        self.probe = 0, 0  # the first trial of the probe that it plays, and how many
         self.prepared = ""  # the problem
         self.recycled = False
         self.trials = range(0)  # of its chunk
@@ -124,6 +128,13 @@ class Server:
                     assert not process.does, "a slot that works is prepared"
                     assert not process.recycled, "a recycled process is prepared"
                     process.does, process.prepared = "prepare", ""
+                    process.probe = command.first, command.most
+                case events.PlayProbe():
+                    process = self.processes[command.slot]
+                    assert process.prepared, "a slot that is not prepared plays the probe"
+                    assert not process.recycled, "a recycled process plays the probe"
+                    assert not process.does, "a slot that works plays the probe"
+                    process.does, process.probe = "play", (command.first, command.count)
                 case events.RunChunk():
                     process = self.processes[command.slot]
                     assert process.prepared, (
@@ -254,9 +265,18 @@ class Server:
             )
         elif does == "prepare" and how == "badly":
             self.feed(events.Unprepared(slot, "it does not fit"))
-        elif does == "prepare":
+        elif does == "prepare" and how == "recycled":
+            process.does = does
+            compiling = self.random.choice([0, 0, 5])
+            self.feed(events.Preparing(slot, compiling, PROBE_TRIALS))
+        elif does in ("prepare", "play"):
             process.prepared = "a problem"
-            self.feed(events.Prepared(slot, b"digest", 0.1))
+            first, count = process.probe
+            if does == "prepare":
+                count = self.random.choice([1, count])
+            digest = PROBE[8 * first : 8 * (first + count)]
+            trial_s = self.random.choice([0.01, 1.0, 5.0, 15.0])
+            self.feed(events.Prepared(slot, digest, trial_s, first, does == "play"))
         elif does == "evaluate" and how == "exhausted":
             process.recycled = True
             self.feed(events.Exhausted(slot, self.random.randrange(len(process.trials))))
@@ -317,7 +337,14 @@ class Server:
         for lease in self.slots.leases.values():
             queue = lease.jobs
             idle = any(slot.state == "ready" for slot in lease.slots)
-            assert not (idle and queue.waiting), "a batch waits while a slot is ready"
+            known = lease.probe is not None
+            assert not (known and idle and queue.waiting), (
+                "a batch waits while a slot is ready"
+            )
+            assert known or not lease.slots or not idle or lease.playing(), (
+                "slots are ready, and nobody plays the probe"
+            )
+            assert not known or PROBE.startswith(lease.probe.digest), "of other trials"
             assert not lease.slots or any(
                 slot.state != "assigned" for slot in lease.slots
             ), "no slot is prepared"

@@ -318,7 +318,7 @@ def test_a_fault_ends_its_batch_when_the_other_slots_are_done() -> None:
     query = server.ask(evaluate(lease, 1, 9))
     assert seeds(server.commands) == [(0, [0, 1]), (1, [2, 3]), (2, [4])]
     server.finish(2, 1)
-    assert server.feed(Died(1, 1, "crash"))[0] == PrepareSlot(1, reserve(), probe=False)
+    assert server.feed(Died(1, 1, "crash"))[0] == PrepareSlot(1, reserve())
     assert query not in server.answers
     assert server.feed(Finished(0, played(0, 2))) == [], (
         "nothing more of it is handed out"
@@ -390,15 +390,15 @@ def test_a_cancelled_batch_that_does_not_stop_is_killed_without_blame() -> None:
     server.ask(Cancel(lease=lease, batches=[1]))
     server.trials = [7]
     assert server.wait(2.0) == []
-    assert server.wait(0.25) == [KillSlot(0), PrepareSlot(0, reserve(), probe=False)]
+    assert server.wait(0.25) == [KillSlot(0), PrepareSlot(0, reserve())]
     assert code(server.answers[queries[0]]) == "cancelled"
-    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 2)]
+    assert server.feed(Prepared(0, PROBE[:8], 0.0)) == [run(0, lease, 2)]
 
 
 def test_a_process_that_dies_with_a_cancelled_batch_is_not_a_fault() -> None:
     server, lease, query = running_one()
     server.ask(Cancel(lease=lease, batches=[1]))
-    assert server.feed(Died(0, 0, "crash")) == [PrepareSlot(0, reserve(), probe=False)]
+    assert server.feed(Died(0, 0, "crash")) == [PrepareSlot(0, reserve())]
     assert code(server.answers[query]) == "cancelled"
 
 
@@ -419,7 +419,7 @@ def test_cancelled_batches_that_still_run_do_not_count_as_waiting() -> None:
 def test_a_trial_that_takes_all_memory_is_blamed() -> None:
     server, _lease, query = running_one()
     assert server.feed(Died(0, 4, "more than 512 MB", "memory")) == [
-        PrepareSlot(0, reserve(), probe=False)
+        PrepareSlot(0, reserve())
     ]
     assert server.answers[query] == Fault(
         batch=1, kind="memory", trial=4, reason="simulator minisim: more than 512 MB"
@@ -433,12 +433,12 @@ def test_a_recycled_process_is_replaced_before_the_next_batch_without_blame() ->
     renewal = server.ask(Renew(lease=lease, known_ready=1))
     assert server.feed(Finished(0, outcomes(1), recycle=True)) == [
         KillSlot(0),
-        PrepareSlot(0, reserve(), probe=False),
+        PrepareSlot(0, reserve()),
     ]
     assert server.answers[queries[0]] == outcomes(1)
     answer = server.answer(renewal, Lease)
     assert answer.ready == 0
-    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 2)]
+    assert server.feed(Prepared(0, PROBE[:8], 0.0)) == [run(0, lease, 2)]
 
 
 def test_another_slot_continues_while_one_is_recycled() -> None:
@@ -447,7 +447,7 @@ def test_another_slot_continues_while_one_is_recycled() -> None:
     server.evaluate(lease, 1, 2, 3, 4)
     assert server.feed(Finished(0, outcomes(1), recycle=True)) == [
         KillSlot(0),
-        PrepareSlot(0, reserve(), probe=False),
+        PrepareSlot(0, reserve()),
     ]
     assert server.finish(1, 2) == [run(1, lease, 3)]
 
@@ -460,7 +460,7 @@ def test_a_recycled_process_of_an_ended_lease_is_prepared_again() -> None:
     server.ask(Release(lease=lease))
     assert server.feed(Finished(0, outcomes(1), recycle=True)) == [
         KillSlot(0),
-        PrepareSlot(0, reserve(slots=2), probe=False),
+        PrepareSlot(0, reserve(slots=2)),
     ]
 
 
@@ -478,11 +478,11 @@ def test_trials_after_one_that_left_something_are_played_in_a_new_process() -> N
 
     assert server.feed(Finished(0, played_one(0, "a file open (x)"))) == [
         KillSlot(0),
-        PrepareSlot(0, reserve(), probe=False),
+        PrepareSlot(0, reserve()),
     ]
-    assert seeds(server.feed(Prepared(0, b"", 0.0))) == [(0, [*range(1, end)])]
+    assert seeds(server.feed(Prepared(0, PROBE[:8], 0.0))) == [(0, [*range(1, end)])]
     server.feed(Finished(0, played_one(1, "1 thread running")))
-    server.feed(Prepared(0, b"", 0.0))
+    server.feed(Prepared(0, PROBE[:8], 0.0))
     while query not in server.answers:
         chunk = server.slots.slots[0].chunk
         assert chunk is not None
@@ -499,9 +499,9 @@ def test_an_exhausted_chunk_is_split_and_the_batch_is_answered_whole() -> None:
     lease = server.ready(trial_s=1e-6)
     query = server.ask(evaluate(lease, 1, 8))
     (second,) = server.evaluate(lease, 2)
-    replaced = [KillSlot(0), PrepareSlot(0, reserve(), probe=False)]
+    replaced = [KillSlot(0), PrepareSlot(0, reserve())]
     assert server.feed(Exhausted(0, 5)) == replaced
-    prepared, expected = Prepared(0, b"", 0.0), run(0, lease, 1, 0, 5, of=8)
+    prepared, expected = Prepared(0, PROBE[:8], 0.0), run(0, lease, 1, 0, 5, of=8)
     assert server.feed(prepared) == [expected], "before the batch that waits"
     assert server.feed(Finished(0, some(0, 5), recycle=True)) == replaced
     assert server.feed(prepared) == [run(0, lease, 1, 5, 6, of=8)]
@@ -532,7 +532,7 @@ def test_an_exhausted_chunk_is_split_around_its_trial(
     server.ask(evaluate(lease, 1, 4))
     server.feed(Exhausted(0, trial))
     found = []
-    commands = server.feed(Prepared(0, b"", 0.0))
+    commands = server.feed(Prepared(0, PROBE[:8], 0.0))
     while chunks := seeds(commands):
         found += chunks
         first, end = chunks[0][1][0], chunks[0][1][-1] + 1
@@ -547,7 +547,7 @@ def test_another_slot_that_is_ready_takes_an_exhausted_chunk() -> None:
     server.ask(evaluate(lease, 1))
     assert server.feed(Exhausted(0, 0)) == [
         KillSlot(0),
-        PrepareSlot(0, reserve(), probe=False),
+        PrepareSlot(0, reserve()),
         run(1, lease, 1),
     ]
 
@@ -559,16 +559,16 @@ def test_outcomes_before_a_memory_fault_are_reported_and_before_a_refusal_are_no
     lease = server.ready(trial_s=1e-6)
     query = server.ask(evaluate(lease, 1, 4))
     server.feed(Exhausted(0, 2))
-    server.feed(Prepared(0, b"", 0.0))
+    server.feed(Prepared(0, PROBE[:8], 0.0))
     server.feed(Finished(0, some(0, 2)))
     server.feed(Died(0, 0, "more than 512 MB", "memory"))
     answer = server.answer(query, Fault)
     reported = answer.trial, answer.trials, answer.fitness, answer.seconds
     assert reported == (2, codec.indices([0, 1]), bytes([0, 1]), 2.0)
     query = server.ask(evaluate(lease, 2, 4))
-    server.feed(Prepared(0, b"", 0.0))
+    server.feed(Prepared(0, PROBE[:8], 0.0))
     server.feed(Exhausted(0, 2))
-    server.feed(Prepared(0, b"", 0.0))
+    server.feed(Prepared(0, PROBE[:8], 0.0))
     refused = Refused(code="malformed", reason="it does not fit")
     server.feed(Finished(0, refused))
     assert server.answers[query] == refused
@@ -596,7 +596,7 @@ def test_an_exhausted_chunk_of_a_batch_that_ended_is_not_run_again(
     assert code(server.answers[query]) == why
     assert (Drained() in commands) == (end == "drain")
     if end == "cancel":
-        assert server.feed(Prepared(0, b"", 0.0)) == []
+        assert server.feed(Prepared(0, PROBE[:8], 0.0)) == []
 
 
 def test_a_draining_server_reports_finished_trials_of_an_exhausted_batch() -> None:
@@ -604,7 +604,7 @@ def test_a_draining_server_reports_finished_trials_of_an_exhausted_batch() -> No
     lease = server.ready(trial_s=1e-6)
     query = server.ask(evaluate(lease, 1, 4))
     server.feed(Exhausted(0, 2))
-    server.feed(Prepared(0, b"", 0.0))
+    server.feed(Prepared(0, PROBE[:8], 0.0))
     server.feed(Drain())
     assert Drained() in server.feed(Finished(0, some(0, 2)))
     assert server.answer(query, Outcomes).trials == codec.indices([0, 1])
@@ -615,7 +615,7 @@ def test_a_batch_with_a_waiting_exhausted_chunk_is_answered_like_others() -> Non
     lease = server.ready(trial_s=1e-6)
     query = server.ask(evaluate(lease, 1, 4))
     server.feed(Exhausted(0, 2))
-    server.feed(Prepared(0, b"", 0.0))
+    server.feed(Prepared(0, PROBE[:8], 0.0))
     server.feed(Finished(0, some(0, 2), recycle=True))
     server.wait(30.0)
     assert query not in server.answers
@@ -624,7 +624,7 @@ def test_a_batch_with_a_waiting_exhausted_chunk_is_answered_like_others() -> Non
     reported = answer.done, answer.given, answer.trials, answer.fitness
     assert reported == (2, False, codec.indices([0, 1]), bytes([0, 1]))
     (again,) = server.evaluate(lease, 1)
-    server.feed(Prepared(0, b"", 0.0))
+    server.feed(Prepared(0, PROBE[:8], 0.0))
     for first in (2, 3):
         server.feed(Finished(0, some(first, first + 1)))
     assert isinstance(server.answers[again], Outcomes)

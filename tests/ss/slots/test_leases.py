@@ -15,6 +15,7 @@ from tests.ss.slots.table_server import (
     running_one,
 )
 from zswarm.protocol.messages import (
+    PROBE_TRIALS,
     Cancel,
     Done,
     Lease,
@@ -57,12 +58,12 @@ def test_the_first_slot_plays_the_probe_and_the_others_are_prepared_after_it() -
     """One slot compiles, and the others find the compiled code."""
     server = Server(3)
     assert server.reserve().state == "preparing"
-    assert server.commands == [PrepareSlot(0, reserve(), probe=True)]
+    assert server.commands == [PrepareSlot(0, reserve(), most=PROBE_TRIALS)]
     assert server.feed(Prepared(0, PROBE, 0.5)) == [
-        PrepareSlot(1, reserve(), probe=False),
-        PrepareSlot(2, reserve(), probe=False),
+        PrepareSlot(1, reserve()),
+        PrepareSlot(2, reserve()),
     ]
-    server.feed(Prepared(2, b"", 0.0))
+    server.feed(Prepared(2, PROBE[:8], 0.0))
     lease = server.reserve()
     assert (lease.state, lease.slots, lease.ready, lease.probe, lease.trial_s) == (
         "ready",
@@ -215,9 +216,7 @@ def test_a_slot_that_could_not_be_prepared_is_prepared_again() -> None:
     server.reserve("a", slots=1)
     server.reserve("b", slots=2)
     server.feed(Prepared(1, PROBE, 0.5))
-    assert server.feed(Unprepared(0, "no memory")) == [
-        PrepareSlot(0, reserve(slots=2), probe=False)
-    ]
+    assert server.feed(Unprepared(0, "no memory")) == [PrepareSlot(0, reserve(slots=2))]
 
 
 def test_a_server_needs_ticks_while_a_lease_is_held_or_a_slot_stops() -> None:
@@ -239,7 +238,7 @@ def test_a_slot_prepared_with_another_memory_limit_is_prepared_again() -> None:
     server.ask(reserve(memory_mb=1024, slots=1), "c")
     server.ask(Release(lease=server.slots.leases["user", "b"].token), "b")
     assert server.commands == [
-        PrepareSlot(0, reserve(memory_mb=1024, slots=1), probe=True)
+        PrepareSlot(0, reserve(memory_mb=1024, slots=1), most=PROBE_TRIALS)
     ]
 
 
@@ -248,9 +247,7 @@ def test_a_slot_prepared_for_another_problem_is_prepared_again() -> None:
     first = server.ready("a", simulator="other")
     server.ask(reserve(), "b")
     server.ask(Release(lease=first), "a")
-    assert server.feed(Prepared(0, PROBE, 0.5)) == [
-        PrepareSlot(1, reserve(), probe=False)
-    ]
+    assert server.feed(Prepared(0, PROBE, 0.5)) == [PrepareSlot(1, reserve())]
 
 
 def test_a_slot_released_while_preparing_becomes_free_afterwards() -> None:
@@ -260,7 +257,7 @@ def test_a_slot_released_while_preparing_becomes_free_afterwards() -> None:
     server.ask(Release(lease=lease), "a")
     assert (server.commands, server.states()) == ([], ["stopping"])
     assert server.feed(Prepared(0, PROBE, 0.5)) == [
-        PrepareSlot(0, reserve(simulator="other"), probe=True)
+        PrepareSlot(0, reserve(simulator="other"), most=PROBE_TRIALS)
     ]
 
 
@@ -390,14 +387,14 @@ def test_a_problems_probe_is_played_once_while_the_server_runs() -> None:
     again = server.reserve("c")
     assert (again.state, again.probe, again.trial_s) == ("preparing", PROBE, 0.5)
     server.ask(Release(lease=again.lease), "c")
-    server.feed(Prepared(0, b"", 0.0))
-    server.feed(Prepared(1, b"", 0.0))
+    server.feed(Prepared(0, PROBE[:8], 0.0))
+    server.feed(Prepared(1, PROBE[:8], 0.0))
     server.ready("d", simulator="other")
     server.ask(Release(lease=server.slots.leases["user", "d"].token), "d")
     server.reserve("e")
     assert server.commands == [
-        PrepareSlot(0, reserve(), probe=False),
-        PrepareSlot(1, reserve(), probe=False),
+        PrepareSlot(0, reserve()),
+        PrepareSlot(1, reserve()),
     ]
 
 
@@ -405,7 +402,7 @@ def test_a_probe_without_a_digest_is_played_once_too() -> None:
     """The simulator is not repeatable."""
     server = Server(2)
     server.reserve("a")
-    assert server.feed(Prepared(0, b"", 15.0)) == [PrepareSlot(1, reserve(), probe=False)]
+    assert server.feed(Prepared(0, b"", 15.0)) == [PrepareSlot(1, reserve())]
     lease = server.reserve("a")
     assert (lease.state, lease.probe, lease.trial_s) == ("ready", b"", 15.0)
 
@@ -417,7 +414,7 @@ def test_the_probe_of_another_problem_is_played(other: dict[str, Any]) -> None:
     server = Server(1)
     server.ask(Release(lease=server.ready("a")), "a")
     server.ask(reserve(**other), "b")
-    assert server.commands == [PrepareSlot(0, reserve(**other), probe=True)]
+    assert server.commands == [PrepareSlot(0, reserve(**other), most=PROBE_TRIALS)]
 
 
 def test_the_oldest_probes_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -426,7 +423,7 @@ def test_the_oldest_probes_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> Non
     for name in ("minisim", "other"):
         server.ask(Release(lease=server.ready(simulator=name)))
     server.ask(reserve())
-    assert server.commands == [PrepareSlot(0, reserve(), probe=True)]
+    assert server.commands == [PrepareSlot(0, reserve(), most=PROBE_TRIALS)]
 
 
 # ---- epochs -----------------------------------------------------------------------------

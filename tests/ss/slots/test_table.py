@@ -14,6 +14,7 @@ from tests.ss.slots.table_server import (
     running_one,
 )
 from zswarm.protocol.messages import (
+    PROBE_TRIALS,
     Cancel,
     Done,
     Fault,
@@ -43,22 +44,20 @@ def test_a_process_that_dies_blames_one_trial_and_is_prepared_again() -> None:
     server = Server(1)
     lease = server.ready()
     queries = server.evaluate(lease, 1, 2)
-    assert server.feed(Died(0, 3, "killed by signal 11")) == [
-        PrepareSlot(0, reserve(), probe=False)
-    ]
+    assert server.feed(Died(0, 3, "killed by signal 11")) == [PrepareSlot(0, reserve())]
     fault = Fault(
         batch=1, kind="crashed", trial=3, reason="simulator minisim: killed by signal 11"
     )
     assert server.answers[queries[0]] == fault
     assert server.asked(evaluate(lease, 1)) == fault
-    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 2)]
+    assert server.feed(Prepared(0, PROBE[:8], 0.0)) == [run(0, lease, 2)]
 
 
 def test_a_trial_that_takes_too_long_is_killed_and_blamed() -> None:
     server, _lease, query = running_one()
     for server.trials[0] in range(2):
         assert server.wait(TIMEOUT_S) == []
-    assert server.wait(0.5) == [KillSlot(0), PrepareSlot(0, reserve(), probe=False)]
+    assert server.wait(0.5) == [KillSlot(0), PrepareSlot(0, reserve())]
     answer = server.answer(query, Fault)
     assert (answer.batch, answer.kind, answer.trial) == (1, "timeout", 1)
 
@@ -74,9 +73,9 @@ def test_a_fault_of_a_batch_without_a_query_is_cached() -> None:
 def test_an_idle_slot_whose_process_dies_is_prepared_again() -> None:
     server = Server(1)
     lease = server.ready()
-    assert server.feed(Died(0, 0, "killed")) == [PrepareSlot(0, reserve(), probe=False)]
+    assert server.feed(Died(0, 0, "killed")) == [PrepareSlot(0, reserve())]
     server.evaluate(lease, 1)
-    assert server.feed(Prepared(0, b"", 0.0)) == [run(0, lease, 1)]
+    assert server.feed(Prepared(0, PROBE[:8], 0.0)) == [run(0, lease, 1)]
 
 
 def test_a_free_slot_whose_process_died_is_prepared_again() -> None:
@@ -108,7 +107,7 @@ def test_a_problem_that_cannot_be_prepared_fails_the_lease_and_frees_its_slots()
     server.ask(reserve(simulator="other"), "b")
     queries = [*server.evaluate(lease, 1), server.ask(Renew(lease=lease, known_ready=0))]
     assert server.feed(Unprepared(0, "no such map")) == [
-        PrepareSlot(0, reserve(simulator="other"), probe=True)
+        PrepareSlot(0, reserve(simulator="other"), most=PROBE_TRIALS)
     ]
     assert code(server.answers[queries[0]]) == "mismatch"
     renewed = server.answer(queries[1], Lease)
@@ -127,7 +126,7 @@ def test_a_process_that_dies_while_it_is_prepared_is_tried_three_times() -> None
     server.reserve()
     for _ in range(2):
         assert server.feed(Died(0, 0, "killed")) == [
-            PrepareSlot(0, reserve(), probe=True)
+            PrepareSlot(0, reserve(), most=PROBE_TRIALS)
         ]
     assert server.feed(Died(0, 0, "killed")) == []
     lease = server.reserve()
@@ -142,9 +141,7 @@ def test_a_slot_that_cannot_be_prepared_is_given_up_while_others_continue() -> N
     server.feed(Prepared(0, PROBE, 0.5))
     (query,) = server.evaluate(lease, 1)
     for _ in range(2):
-        assert server.feed(Died(1, 0, "no memory")) == [
-            PrepareSlot(1, reserve(), probe=False)
-        ]
+        assert server.feed(Died(1, 0, "no memory")) == [PrepareSlot(1, reserve())]
     assert server.feed(Died(1, 0, "no memory")) == []
     assert server.states() == ["busy", "free"]
     server.finish(0, 1)
@@ -164,11 +161,9 @@ def test_deaths_of_a_slot_are_counted_from_its_last_preparation() -> None:
     server = Server(1)
     server.ready()
     for _ in range(5):
-        assert server.feed(Died(0, 0, "killed")) == [
-            PrepareSlot(0, reserve(), probe=False)
-        ]
+        assert server.feed(Died(0, 0, "killed")) == [PrepareSlot(0, reserve())]
         server.feed(Died(0, 0, "killed"))
-        server.feed(Prepared(0, b"", 0.0))
+        server.feed(Prepared(0, PROBE[:8], 0.0))
     assert server.reserve().state == "ready"
 
 

@@ -85,8 +85,11 @@ class Allotment(msgspec.Struct, eq=False):
     def surplus(self) -> RemoteServer | None:
         """Return a server that is to be released: the last one; None if there is none."""
         roster, order = self.roster, self._order
+        too_many = self.room() < 0
+        if not too_many and (not roster.waiting or roster.granted < self.limit()):
+            return None
         with_slots = [*roster.ready.values(), *roster.preparing.values()]
-        if self.room() < 0 and with_slots:
+        if too_many and with_slots:
             return max(with_slots, key=order)
         if not roster.waiting or roster.granted < self.limit():
             return None

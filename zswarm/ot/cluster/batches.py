@@ -6,6 +6,7 @@ back first and can be asked for them again. When nothing waits, some are sent to
 (``second_starts``).
 """
 
+from collections.abc import Iterable
 from typing import Self
 
 import msgspec
@@ -45,7 +46,6 @@ class Batches(msgspec.Struct, eq=False):
     blamed: list[
         str
     ] = []  # machines that failed a trial, for each; the caller takes them
-    _serving_changed: bool = False
     idle: IdleServers = msgspec.field(default_factory=IdleServers)
     _alone: bool = False  # the user knows that there is no second server
     _left_behind: set[str] = set()  # by trials in their processes, as the user knows
@@ -95,7 +95,7 @@ class Batches(msgspec.Struct, eq=False):
 
     def follow(self, server: RemoteServer) -> None:
         """Resume, strand or forget a server's batches, as its phase requires."""
-        self._serving_changed = True
+        self.idle.moved[server.id] = server
         if server.phase == Phase.LEASED:
             if server.resumable_lease not in (b"", server.lease):
                 self._forget_stranded(server)
@@ -148,21 +148,17 @@ class Batches(msgspec.Struct, eq=False):
     # ---- out
 
     def fill(self, answered: RemoteServer | None) -> None:
-        """Send batches that wait: first one to every server, then the second.
+        """Send batches that wait.
 
         Args:
             answered: a server that may have room again.
         """
+        room = self.idle.follow(self.schedule, self.servers.serves, answered)
         if self.workload is None:
             return
-        if answered and answered.id in self.schedule.serving:
-            self.idle.add(answered, self.out.now)
-        if self._waits() or self.idle.looking:
-            servers = self._with_room(answered)
-            for depth in range(1, DEPTH + 1):
-                for server in servers:
-                    if self._waits():
-                        self._fill_server(server, depth)
+        if self._waits():
+            ranked = bool(self.terms.choice.rank)
+            self._fill_servers(self.idle.each(ranked=ranked) if self.idle.more else room)
             self._drop_unverifiable()
         if self.idle.looking:
             self.idle.looking = False
@@ -173,16 +169,18 @@ class Batches(msgspec.Struct, eq=False):
     def _waits(self) -> bool:
         return bool(self.queue.count or self.checks.waiting)
 
-    def _with_room(self, answered: RemoteServer | None) -> list[RemoteServer]:
-        """Return the servers that may have room for what waits."""
-        if self._serving_changed:
-            self._serving_changed = False
-            self.schedule.serve(self.servers.serving())
-            self.idle.reset(self.schedule.serving)
-        if self.idle.more:
-            self.idle.more = False
-            return list(self.idle.idle.values())
-        return [answered] if answered and answered.id in self.idle.idle else []
+    def _fill_servers(self, servers: Iterable[RemoteServer]) -> None:
+        """Fill servers as long as trials wait: first one batch for each, then the second."""
+        visited = []
+        for server in servers:
+            visited.append(server)
+            self._fill_server(server, 1)
+            if not self._waits():
+                break
+        for depth in range(2, DEPTH + 1):
+            for server in visited:
+                if self._waits():
+                    self._fill_server(server, depth)
 
     def _fill_server(self, server: RemoteServer, depth: int) -> None:
         while size := self.schedule.size(server, depth):

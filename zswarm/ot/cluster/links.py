@@ -70,6 +70,7 @@ class Links(msgspec.Struct, eq=False):
     # The session that saw a server; written before the server is Seen.
     home: dict[str, zenoh.Session] = {}
     senders: dict[str, session.Sender] = {}
+    _present: set[str] = set()  # servers whose token is there
     _local: str = ""  # endpoint of this machine's slots
     _addresses: dict[str, str] = {}  # of links, by zenoh's id of the other side
     _members: frozenset[str] = frozenset()  # names of servers with certificates
@@ -120,6 +121,12 @@ class Links(msgspec.Struct, eq=False):
     def hang_up(self, server: str) -> None:
         """End the sender to a server that left: one that is restarted is another server."""
         self.senders.pop(server).close()
+
+    def forget(self, server: str) -> None:
+        """Forget a server that left long ago, unless its token appears just now."""
+        home = self.home.pop(server, None)
+        if home is not None and server in self._present:
+            self.home.setdefault(server, home)
 
     def was_answered(self, question: int) -> None:
         """Take note that a question which carried a batch has ended."""
@@ -257,6 +264,7 @@ class Links(msgspec.Struct, eq=False):
         """Take the token of a server, or its end; of too many servers of a name, only some."""
         if seen:
             if self._announced.add(server, opened):
+                self._present.add(server)
                 self.home[server] = opened
                 self.post(Seen(server))
             elif name not in self._many:
@@ -267,9 +275,11 @@ class Links(msgspec.Struct, eq=False):
                 )
                 self.post(Note(RunEvent.SERVER_MISMATCH, server, text))
             return
+        self._present.discard(server)
         instead = self._announced.remove(server)
         self.post(Gone(server))
         if instead is not None:
+            self._present.add(instead[0])
             name, self.home[name] = instead
             self.post(Seen(name))
 

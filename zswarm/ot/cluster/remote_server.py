@@ -39,7 +39,7 @@ When a lease can be resumed: docs/protocol.md, "Times of a lease".
 
 import math
 from enum import Enum, auto
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -47,6 +47,7 @@ import numpy as np
 from zswarm.ot.cluster.machines import name_of
 from zswarm.ot.cluster.pace import Pace
 from zswarm.protocol.messages import PROBE_DIGEST
+from zswarm.system.format import plural
 
 
 class Phase(Enum):
@@ -73,6 +74,23 @@ MOVES = {
     Phase.BACKED_OFF: {Phase.SEEN, *_ENDS},
     Phase.BANNED: set[Phase](),
 }
+
+
+class PrepareProgress(NamedTuple):
+    """How far a server is that prepares its first slot."""
+
+    compiling: int  # kernels
+    probe_begun: int  # trials
+    probe_trials: int  # that the probe has
+
+    def words(self, simulator: str) -> str:
+        """Return what it does, for the user."""
+        if self.compiling:
+            kernels = plural(self.compiling, "kernel")
+            return f"compiling {kernels}, once for each version of zswarm"
+        if self.probe_trials == 1:
+            return f"plays one trial of {simulator}"
+        return f"plays trial {self.probe_begun} of {self.probe_trials} of {simulator}"
 
 
 class SentBatch(msgspec.Struct, eq=False):
@@ -129,6 +147,9 @@ class RemoteServer(msgspec.Struct, eq=False):
     growing: bool = False  # LEASED, and asked for more slots than before
     slots: int = 0
     ready: int = 0  # slots that can evaluate
+    progress: PrepareProgress | None = (
+        None  # while its first slot is prepared, if it reports that
+    )
     pace: Pace = msgspec.field(default_factory=Pace)
     # Its open query for an offer, a reservation or a renewal; 0: none.
     question: int = 0
@@ -144,6 +165,10 @@ class RemoteServer(msgspec.Struct, eq=False):
 
     def __post_init__(self) -> None:
         self.machine = self.machine or name_of(self.id)
+
+    def prepares(self, *progress: int) -> None:
+        """Take note of how far it is: what ``PrepareProgress`` has, or zeros."""
+        self.progress = PrepareProgress(*progress) if any(progress) else None
 
     def taken(self) -> int:
         """Return how many slots the run has here, or asked for."""
@@ -164,6 +189,7 @@ class Standing(msgspec.Struct, frozen=True):
 
     serving: int = 0  # servers with a slot ready
     preparing: list[str] = []  # some of the servers that prepare their first slot
+    progress: PrepareProgress | None = None  # of the first of these
     leased: int = 0  # servers that granted a lease
     spare: int = 0  # servers that match and whose slots are not wanted
     slots: int = 0  # that are ready

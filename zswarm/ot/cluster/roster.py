@@ -52,9 +52,11 @@ class Roster(msgspec.Struct, eq=False):
 
     def standing(self, probe: bytes) -> Standing:
         """Return how the run stands with its servers."""
+        first = next(iter(self.preparing.values()), None)
         return Standing(
             serving=len(self.ready),
             preparing=list(itertools.islice(self.preparing, NAMED)),
+            progress=first.progress if first is not None else None,
             leased=self.phases[Phase.LEASED],
             spare=self.phases[Phase.SPARE],
             slots=self.slots,

@@ -36,9 +36,9 @@ SMALLEST_BATCH_S = 0.003
 LONG, IDLE_S = 10.0, 0.01
 TOLERANCE = 1.05  # of what a server may take longer than others: times are estimates
 ROUNDS = 2  # of trials on all slots; the end of more is estimated by rates alone
-STALE = (
-    1 / 8
-)  # an estimate is made again after this share of the time until the estimated end
+# An estimate is made again after this share of the time until the estimated end, but not before so
+# long for each server; and when this share of the slots came or left.
+STALE, ESTIMATE_SERVER_S = 1 / 8, 0.00005
 
 
 class Schedule(msgspec.Struct, eq=False):
@@ -48,6 +48,8 @@ class Schedule(msgspec.Struct, eq=False):
     queue: TrialQueue
     serving: dict[str, RemoteServer] = {}  # servers that can be given work
     slots: int = 0  # of these
+    # Slots and rate of each, as they are summed.
+    _summed: dict[str, tuple[int, float]] = {}
     fits: int = 1  # trials that fit into a message
     _genome_bytes: float = 0.0  # of a trial's candidates
     _trial_bytes: float = 1.0  # of a trial on a link beside them
@@ -55,6 +57,7 @@ class Schedule(msgspec.Struct, eq=False):
     _rate: float = 0.0  # trials per second of all that serve
     _end: float = 0.0  # of all that waits, as estimated last
     _stale_at: float = -math.inf
+    _moved: int = 0  # slots that came or left since then
 
     def begin(self, workload: Workload, terms: Terms) -> None:
         """Schedule the trials of a workload."""
@@ -71,18 +74,32 @@ class Schedule(msgspec.Struct, eq=False):
         self._genome_bytes = sum(map(len, genomes)) / candidates * participants
         self._trial_bytes = 16 * participants + answered
         self._alike = max(1.0, trials * participants / candidates)
-        self.restart()
-
-    def serve(self, serving: dict[str, RemoteServer]) -> None:
-        """Schedule for other servers, or for servers with other slots."""
-        self.serving = serving
-        self.slots = sum(server.ready for server in serving.values())
-        self.restart()
-
-    def restart(self) -> None:
-        """Estimate again."""
-        self._rate = sum(map(self.rate, self.serving.values()))
         self._stale_at = -math.inf
+        for server in self.serving.values():
+            self._sum(server)
+
+    def serve(self, server: RemoteServer) -> None:
+        """Schedule for a server that can be given work, or has other slots than before."""
+        self.serving[server.id] = server
+        self._sum(server)
+
+    def leave(self, server: RemoteServer) -> bool:
+        """Schedule nothing for a server any more; return whether anything was."""
+        served = self.serving.pop(server.id, None) is not None
+        if served:
+            self._sum(server)
+        return served
+
+    def _sum(self, server: RemoteServer) -> None:
+        """Sum slots and rates with those of a server as it is now."""
+        slots, rate = self._summed.pop(server.id, (0, 0.0))
+        now = 0, 0.0
+        if server.id in self.serving:
+            self._summed[server.id] = now = server.ready, self.rate(server)
+        self.slots, self._rate = self.slots + now[0] - slots, self._rate + now[1] - rate
+        self._moved += abs(now[0] - slots)
+        if self._moved > STALE * self.slots:
+            self._stale_at = -math.inf
 
     def rate(self, server: RemoteServer) -> float:
         """Return the trials per second of a server; 0.0 if none was measured."""
@@ -101,12 +118,9 @@ class Schedule(msgspec.Struct, eq=False):
 
     def computed(self, server: RemoteServer, seconds: float, trials: int) -> None:
         """Take the seconds that a server computed for some trials."""
+        server.pace.computed(seconds, trials)
         if server.id in self.serving:
-            self._rate -= self.rate(server)
-            server.pace.computed(seconds, trials)
-            self._rate += self.rate(server)
-        else:
-            server.pace.computed(seconds, trials)
+            self._sum(server)
 
     # ---- what is measured
 
@@ -243,12 +257,16 @@ class Schedule(msgspec.Struct, eq=False):
                     end = first.get(one.machine, math.inf)
                     first[one.machine] = min(end, self.due(one, 1))
                 self._end = max(self._end, *sorted(first.values())[:2])
-            self._stale_at = now + STALE * (self._end - now)
+            # All are looked at: not for every trial where there are many.
+            least_s = ESTIMATE_SERVER_S * len(self.serving)
+            self._stale_at = now + max(least_s, STALE * (self._end - now))
+            self._moved = 0
         return self.fitting(server, trials, now + TOLERANCE * (self._end - now))
 
     def _expected_end(self, waiting: int) -> float:
         """Return when all that waits is done if each trial is done where it ends first."""
-        self._rate = sum(map(self.rate, self.serving.values()))
+        for server in self.serving.values():
+            self._sum(server)
         servers = [server for server in self.serving.values() if self.rate(server)]
         if waiting > ROUNDS * self.slots:
             return self._end_by_rates(waiting, servers)

@@ -6,6 +6,7 @@ batches that are stranded there, if the server grants it again.
 
 import heapq
 import math
+from collections import OrderedDict
 
 import msgspec
 from msgspec import structs
@@ -26,9 +27,9 @@ RETRY_S = (0.05, 0.2, 1.0)  # before a query that was not answered is sent again
 PAUSE_S = 1.0  # before a server that had no room, or that ended the lease, is asked again
 # Before a server that did not answer is asked again, unless it is seen before.
 BACK_OFF_S = 30.0
-# Servers without a token that are remembered, for their leases may be resumed: more than can be
-# linked at a time. One that is restarted has another id.
-MAX_ABSENT = 10_000
+# A server without a token is remembered so long, for its lease may be resumed; after that it
+# expired. One that is restarted has another id.
+FORGET_S = 120.0
 
 
 class Servers(msgspec.Struct, eq=False):
@@ -48,9 +49,8 @@ class Servers(msgspec.Struct, eq=False):
     roster: Roster = msgspec.field(default_factory=Roster)
     machines: Machines = msgspec.UNSET  # type: ignore[assignment]
     allotment: Allotment = msgspec.UNSET  # type: ignore[assignment]
-    _absent: dict[
-        str, RemoteServer
-    ] = {}  # IDLE and without a token, the longest in front
+    # IDLE and without a token, since when; the longest in front.
+    _absent: OrderedDict[str, float] = msgspec.field(default_factory=OrderedDict)
     # When servers are due; an entry counts only if its server is still due then.
     _due: list[tuple[float, str]] = []
 
@@ -68,12 +68,9 @@ class Servers(msgspec.Struct, eq=False):
         """Return how the run stands with its servers."""
         return self.roster.standing(self.probe)
 
-    def serving(self) -> dict[str, RemoteServer]:
-        """Return the servers that can be given work, those that rank first in front."""
-        ready = list(self.roster.ready.values())
-        if self.terms.choice.rank:
-            ready.sort(key=lambda server: server.place)
-        return {server.id: server for server in ready if server.paused_until is None}
+    def serves(self, server: RemoteServer) -> bool:
+        """Return whether a server can be given work."""
+        return server.id in self.roster.ready and server.paused_until is None
 
     # ---- events
 
@@ -256,6 +253,7 @@ class Servers(msgspec.Struct, eq=False):
     def _granted(self, server: RemoteServer, lease: Lease) -> None:
         was_ready = server.ready
         server.lease, server.slots, server.ready = lease.lease, lease.slots, lease.ready
+        server.prepares(lease.compiling, lease.probe_begun, lease.probe_trials)
         self.roster.update(server)
         self.allotment.granted(server)
         if lease.state == "failed":
@@ -387,10 +385,11 @@ class Servers(msgspec.Struct, eq=False):
         self.allotment.follow(server, was)
 
     def _remember(self, server: RemoteServer) -> None:
-        """Remember an IDLE server without a token, and forget another one if there are many."""
-        self._absent[server.id] = server
-        if len(self._absent) > MAX_ABSENT:
-            oldest = self._absent.pop(next(iter(self._absent)))
+        """Remember an IDLE server without a token for a while, and forget those before it."""
+        self._absent[server.id] = now = self.out.now
+        self._absent.move_to_end(server.id)
+        while next(iter(self._absent.values())) <= now - FORGET_S:
+            oldest = self.by_id[self._absent.popitem(last=False)[0]]
             if oldest.phase == Phase.IDLE:
                 self.roster.forget(oldest)
                 del self.by_id[oldest.id]

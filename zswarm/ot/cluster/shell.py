@@ -253,7 +253,7 @@ class Cluster:
         """Handle events until the end; the thread's function."""
         try:
             while True:
-                # The standing is computed from all servers: not for every event.
+                # Not for every event: the caller is woken for each.
                 if self._inbox.empty() or len(self._held_back) >= MAX_HELD_BACK:
                     with self._owner:
                         self._publish()
@@ -300,7 +300,7 @@ class Cluster:
                 if name not in servers.by_id or servers.by_id[name].phase == Phase.IDLE:
                     self._links.hang_up(name)
         while servers.forgotten:
-            self._links.home.pop(servers.forgotten.pop(), None)
+            self._links.forget(servers.forgotten.pop())
 
     def _take(self) -> list[Event | None]:
         """Wait for the next events, at most until the dispatch or newcomers are due."""

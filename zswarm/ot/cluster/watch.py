@@ -84,15 +84,22 @@ class Watch(msgspec.Struct, eq=False):
         elif local is not None and (words := local.ended()):
             raise EvaluationError(f"the slots of this machine ended: {words}")
         elif standing.preparing:
-            if idle_s > PREPARING_S and not self._said:
-                names = ", ".join(standing.preparing)
-                once = "it is compiled once for each version of zswarm"
-                self._tell(f"{names}: getting {self.simulator} ready; {once}")
+            if idle_s > PREPARING_S:
+                self._tell(self._preparing(standing))
         elif idle_s > PAUSE_S and self._said not in (NOBODY, NOBODY_YET):
             self._tell(NOBODY if self._served or local is None else NOBODY_YET)
             return local is None
         return False
 
+    def _preparing(self, standing: Standing) -> str:
+        """Return what the first server does that prepares a slot; or just that some do."""
+        if standing.progress is not None:
+            words = standing.progress.words(self.simulator)
+            return f"{standing.preparing[0]}: {words}"
+        names = ", ".join(standing.preparing)
+        return self._said or f"{names}: getting {self.simulator} ready"
+
     def _tell(self, line: str) -> None:
-        self._said = line
-        self.say(line)
+        if line != self._said:
+            self._said = line
+            self.say(line)

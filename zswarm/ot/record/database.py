@@ -183,6 +183,8 @@ def connect(path: Path) -> sqlite3.Connection:
         )
         connection.execute("PRAGMA synchronous = FULL")
         connection.execute("PRAGMA trusted_schema = OFF")
+        # Debian's SQLite overwrites what it deletes, which writes a large state twice more.
+        connection.execute("PRAGMA secure_delete = OFF")
         # The record may come from somebody else, whose SQL would run when something is written.
         if connection.execute(TRIGGERS).fetchone():
             raise sqlite3.DatabaseError("it has a trigger; zswarm makes none")

@@ -40,7 +40,7 @@ CREATE TABLE events (
     count INTEGER, machine TEXT, digest INTEGER NOT NULL);
 CREATE TABLE optimizer (
     part INTEGER NOT NULL, piece INTEGER NOT NULL, generation INTEGER NOT NULL, state BLOB NOT NULL,
-    digest INTEGER NOT NULL, PRIMARY KEY (part, piece));
+    digest INTEGER NOT NULL, PRIMARY KEY (generation, part, piece));
 """
 # Views show the record in plain SQL, without blobs; SQLite 3.31 suffices. A CAST types a column.
 _UTC = "CAST(strftime('%Y-%m-%d %H:%M:%f', {}, 'unixepoch') AS TEXT) AS utc"

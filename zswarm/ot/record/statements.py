@@ -29,7 +29,7 @@ DROP_GENOME = (
     "UPDATE candidates SET genome = NULL WHERE (generation, candidate) = (?, ?) AND candidate <> "
     "(SELECT candidate FROM candidates WHERE generation = ? ORDER BY fitness DESC, candidate)"
 )
-DROP_STATE = "DELETE FROM optimizer"
+DROP_STATE = "DELETE FROM optimizer WHERE generation <> ?"
 ADD_STATE = "INSERT OR REPLACE INTO optimizer VALUES (?, ?, ?, ?, ?)"
 
 
@@ -130,8 +130,10 @@ def generation_end(
 def state(generation: int, packed: PackedState) -> list[Statement]:
     """Return what replaces the optimizer's state."""
     pieces = packed.pieces()
-    statements: list[Statement] = [(DROP_STATE, ())]
+    statements: list[Statement] = []
     for part, piece, body in pieces:
         written = of_row(part, piece, len(pieces), generation, body)
         statements.append((ADD_STATE, (part, piece, generation, body, written)))
-    return statements
+    # Last: pages that this transaction frees would be written to the journal before they are used
+    # again. Those that the last one freed are not.
+    return [*statements, (DROP_STATE, (generation,))]

@@ -9,6 +9,8 @@ Chipmunk 6. docs/epuck.md describes it.
 
 from zswarm.kernels.jit import inline, sqrt
 from zswarm.sims.epuck.world import (
+    ACROSS,
+    ALONG,
     CENTRE_X,
     CENTRE_Y,
     HALF_LENGTH,
@@ -25,6 +27,7 @@ from zswarm.sims.epuck.world import (
     TARGET_SPIN,
     TARGET_X,
     TARGET_Y,
+    TOUCHED,
     TOUCHES,
     WALL_COSINE,
     WALL_SINE,
@@ -142,7 +145,7 @@ def meet_wall(robots, robot, box, contact):
     return True
 
 
-@inline(counts=False, inner=True)
+@inline(counts=False, inner=True, copied=False)
 def solve(world, contacts):
     """Find the velocities of all robots that touch something."""
     robots = world.robots
@@ -185,20 +188,20 @@ def settle(world, contacts, group):
     members = 0
     for robot in range(group, world.number):
         if world.groups[robot] == group:
-            world.members[members] = robot
+            world.groups[world.number + members] = robot
             members += 1
     listed = members
     for index in range(contacts):
         if world.groups[int(world.contacts[index, FIRST])] == group:
-            world.members[listed] = index
+            world.groups[world.number + listed] = index
             listed += 1
     for _ in range(ITERATIONS):
         change = 0.0
         for at in range(members, listed):
-            contact = world.contacts[world.members[at]]
+            contact = world.contacts[world.groups[world.number + at]]
             change = max(change, separate(world, contact))
         for at in range(members):
-            change = max(change, pull(robots, world.members[at]))
+            change = max(change, pull(robots, world.groups[world.number + at]))
         if change < SETTLED:  # further iterations change nothing that matters
             break
 
@@ -220,14 +223,14 @@ def weigh(world, contact):
         across += PER_MASS + PER_INERTIA * arm_across * arm_across
     contact[ALONG_MASS] = 1.0 / along
     contact[ACROSS_MASS] = 1.0 / across
-    gap = world.counts[SUBSTEP] - world.touched[pair]
     impulses = world.impulses[pair]
+    gap = world.counts[SUBSTEP] - int(impulses[TOUCHED])
     if gap > CACHED:
-        impulses[0] = 0.0
-        impulses[1] = 0.0
+        impulses[ALONG] = 0.0
+        impulses[ACROSS] = 0.0
     elif gap == 1:
-        push(world, contact, impulses[0], impulses[1])
-    world.touched[pair] = world.counts[SUBSTEP]
+        push(world, contact, impulses[ALONG], impulses[ACROSS])
+    impulses[TOUCHED] = world.counts[SUBSTEP]
 
 
 @inline(counts=False, inner=True)
@@ -269,13 +272,13 @@ def separate(world, contact):
     impulses = world.impulses[int(contact[PAIR])]
     along = x * contact[NORMAL_X] + y * contact[NORMAL_Y]
     across = y * contact[NORMAL_X] - x * contact[NORMAL_Y]
-    old_along = impulses[0]
-    old_across = impulses[1]
-    impulses[0] = max(old_along - along * contact[ALONG_MASS], 0.0)
-    most = contact[FRICTION] * impulses[0]
-    impulses[1] = min(max(old_across - across * contact[ACROSS_MASS], -most), most)
-    along = impulses[0] - old_along
-    across = impulses[1] - old_across
+    old_along = impulses[ALONG]
+    old_across = impulses[ACROSS]
+    impulses[ALONG] = max(old_along - along * contact[ALONG_MASS], 0.0)
+    most = contact[FRICTION] * impulses[ALONG]
+    impulses[ACROSS] = min(max(old_across - across * contact[ACROSS_MASS], -most), most)
+    along = impulses[ALONG] - old_along
+    across = impulses[ACROSS] - old_across
     push(world, contact, along, across)
     return max(abs(along), abs(across))
 

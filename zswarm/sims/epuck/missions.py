@@ -114,10 +114,10 @@ LINK, DISC_RADIUS = (
     0.25,
 )  # LCN: the distance that links robots, and what each covers
 ARENA_RADIUS = 1.2
-TOTAL = 0  # of ``tally``
+TOTAL, FIRST_CELL = range(2)  # of ``tally``
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True, copied=False)
 def score(world):
     """Add the score of a step."""
     robots = world.robots
@@ -160,18 +160,18 @@ def forage(world, robot):
 def explore(world):
     """Reset the counters of visited cells; add all counters, then count one step."""
     robots = world.robots
-    cells = world.cells
+    cells = world.tally
     for robot in range(world.number):
         column = int(np.floor(CELLS * (robots[X, robot] / SIDE + 0.5)))
         row = int(np.floor(CELLS * (robots[Y, robot] / SIDE + 0.5)))
         if 0 <= column < CELLS and 0 <= row < CELLS:
-            cells[CELLS * row + column] = 0.0
-    for cell in range(CELLS * CELLS):
+            cells[FIRST_CELL + CELLS * row + column] = 0.0
+    for cell in range(FIRST_CELL, FIRST_CELL + CELLS * CELLS):
         world.tally[TOTAL] -= cells[cell]
         cells[cell] += 1.0
 
 
-@inline(counts=False)
+@inline(counts=False, copied=False)
 def judge(world, fitness, metrics):  # noqa: ARG001  missions have no metrics
     """Write the score of a trial; higher is better. Further calls draw the same points."""
     mission = world.mission
@@ -206,7 +206,7 @@ def nearest(world, x, y, taken, none):
     return none if least < 0.0 else sqrt(least)
 
 
-@inline(counts=False, inner=True)
+@inline(counts=False, inner=True, copied=False)
 def cover_square(world):
     """Return the mean distance of points of the white square to the robots in it."""
     robots = world.robots
@@ -223,7 +223,7 @@ def cover_square(world):
     return total / COVERING
 
 
-@inline(counts=False, inner=True)
+@inline(counts=False, inner=True, copied=False)
 def cover_circle(world):
     """Return the mean distance of points of the black circle's line to the robots on it."""
     robots = world.robots
@@ -240,7 +240,7 @@ def cover_circle(world):
     return total / COVERING
 
 
-@inline(counts=False, inner=True)
+@inline(counts=False, inner=True, copied=False)
 def coverage_distance(world, points):
     """Return the sum of the distances of random points to the robots that are not on black.
 
@@ -261,7 +261,7 @@ def coverage_distance(world, points):
     return total
 
 
-@inline(counts=False, inner=True)
+@inline(counts=False, inner=True, copied=False)
 def largest_area(world):
     """Return the area in m^2 that the largest connected group covers."""
     robots = world.robots
@@ -296,7 +296,7 @@ def largest_area(world):
     return covered_by(world, group, largest)
 
 
-@inline(counts=False, inner=True)
+@inline(counts=False, inner=True, copied=False)
 def covered_by(world, group, which):
     """Return the area of the union of discs around the robots of a group, by random points."""
     robots = world.robots

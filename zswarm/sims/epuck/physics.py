@@ -46,7 +46,7 @@ SUBSTEPS = 10
 REACH = 1.5  # of the way of the fastest robot in a step: how far any may come
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True, copied=False)
 def drive(world):
     """Let all robots drive for one control step."""
     aim(world)
@@ -74,7 +74,7 @@ def aim(world):
         robots[TARGET_SPIN, robot] = (right - left) / WHEEL_DISTANCE
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def turn(world):
     """Set the cosines and sines of all headings."""
     robots = world.robots

@@ -12,6 +12,7 @@ from zswarm.kernels.portable import PI, exp
 from zswarm.kernels.random import draw_uniform
 from zswarm.sims.epuck.sensors import ANGLES_X, ANGLES_Y, SENSORS
 from zswarm.sims.epuck.world import (
+    FIRST_VOTE,
     GROUND,
     HEARD,
     HEARD_X,
@@ -49,7 +50,7 @@ SENSOR_NAMES = {
 }
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True, copied=False)
 def interpret(world, observations):
     """Write what the controllers of all robots see."""
     for robot in range(world.number):
@@ -69,8 +70,8 @@ def remember(world, robot):
     robots = world.robots
     step = world.counts[STEP_NUMBER]
     slot = 2 * (step % MEMORY)
-    world.messages[robot, slot] = robots[HEARD_X, robot]
-    world.messages[robot, slot + 1] = robots[HEARD_Y, robot]
+    world.memory[robot, slot] = robots[HEARD_X, robot]
+    world.memory[robot, slot + 1] = robots[HEARD_Y, robot]
     black = 0.0
     white = 0.0
     for sensor in range(3):
@@ -79,9 +80,9 @@ def remember(world, robot):
             black += 1.0
         elif reading > BRIGHT_GROUND:
             white += 1.0
-    slot = 2 * (step % VOTES)
-    world.votes[robot, slot] = black
-    world.votes[robot, slot + 1] = white
+    slot = FIRST_VOTE + 2 * (step % VOTES)
+    world.memory[robot, slot] = black
+    world.memory[robot, slot + 1] = white
 
 
 @inline(counts=False, inner=True)
@@ -140,8 +141,8 @@ def ground(world, robot, table):
     black = 0.0
     white = 0.0
     for slot in range(VOTES):
-        black += world.votes[robot, 2 * slot]
-        white += world.votes[robot, 2 * slot + 1]
+        black += world.memory[robot, FIRST_VOTE + 2 * slot]
+        white += world.memory[robot, FIRST_VOTE + 2 * slot + 1]
     if black > MAJORITY:
         return 0.0
     if white > MAJORITY:
@@ -164,6 +165,6 @@ def attraction(world, robot):
     x = 0.0
     y = 0.0
     for slot in range(MEMORY):
-        x += world.messages[robot, 2 * slot]
-        y += world.messages[robot, 2 * slot + 1]
+        x += world.memory[robot, 2 * slot]
+        y += world.memory[robot, 2 * slot + 1]
     return x, y

@@ -62,7 +62,7 @@ DECAY = 2.0  # of light, per distance / intensity
 GROUND_AHEAD, GROUND_ASIDE = 0.03, 0.009  # of the centre
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True, copied=False)
 def sense(world):
     """Write the readings of all robots."""
     robots = world.robots
@@ -93,7 +93,7 @@ def meet(world):
                 see_robot(robots, robot, dx, dy)
                 see_robot(robots, other, -dx, -dy)
             if square < hearing * hearing:
-                lost = world.noise[LOSS]
+                lost = world.constants[LOSS]
                 hears = draw_uniform(world.stream) >= lost
                 is_heard = draw_uniform(world.stream) >= lost
                 if (hears or is_heard) and not hidden(world, robot, other, dx, dy):
@@ -189,7 +189,7 @@ def see_walls(world, robot):
 @inline(counts=False, inner=True)
 def disturb(world, row, robot, kind):
     """Add uniform noise to a reading, and limit it to 0..1."""
-    most = world.noise[kind]
+    most = world.constants[kind]
     value = world.robots[row, robot] + most * (2.0 * draw_uniform(world.stream) - 1.0)
     world.robots[row, robot] = min(max(value, 0.0), 1.0)
 
@@ -198,7 +198,7 @@ def disturb(world, row, robot, kind):
 def see_lamp(world, robot):
     """Write the light readings."""
     robots = world.robots
-    lamp = world.lamp
+    lamp = world.constants
     dx = lamp[LAMP_X] - robots[X, robot]
     dy = lamp[LAMP_Y] - robots[Y, robot]
     square = dx * dx + dy * dy
@@ -222,7 +222,7 @@ def dimmed(world, robot, dx, dy, distance):
     x = robots[X, robot]
     y = robots[Y, robot]
     # Where the ray is as high as a robot; it is higher from there on.
-    farthest = distance * ROBOT_HEIGHT / world.lamp[LAMP_Z]
+    farthest = distance * ROBOT_HEIGHT / world.constants[LAMP_Z]
     reach = farthest + RADIUS
     for other in range(world.number):
         if other == robot:
@@ -240,7 +240,7 @@ def dimmed(world, robot, dx, dy, distance):
                 return True
     for wall in range(world.outer_walls, world.walls.shape[0]):
         part = to_box(world.walls[wall], x, y, dx, dy)
-        if part * world.lamp[LAMP_Z] <= world.walls[wall][WALL_HEIGHT]:
+        if part * world.constants[LAMP_Z] <= world.walls[wall][WALL_HEIGHT]:
             return True
     return False
 
@@ -259,7 +259,7 @@ def see_floor(world, robot):
         disturb(world, GROUND + sensor, robot, GROUND_NOISE)
 
 
-@inline(counts=False)
+@inline(counts=False, inner=True)
 def grey_at(floor, x, y):
     """Return the grey of the floor at a point, from 0, black, to 1, white."""
     for place in range(floor.shape[0]):

@@ -28,21 +28,19 @@ from zswarm.sims.epuck.world import (
 
 FASTEST = 12.0  # cm/s, of a wheel
 METRES = float(np.float32(0.01))  # in a centimetre
-LONG_AGO = -1_000  # a substep
+LONG_AGO = -1_000.0  # a substep
 
 
-@inline(counts=False)
+@inline(counts=False, copied=False)
 def start(world, seed):
     """Place all robots, and score the first step, in which nobody moves."""
     world.stream[0] = seed
     world.counts[:] = 0
     world.counts[STEP_NUMBER] = 1
     world.tally[:] = 0.0
-    world.cells[:] = 0.0
     world.robots[:] = 0.0
-    world.messages[:] = 0.0
-    world.votes[:] = 0.0
-    world.touched[:] = LONG_AGO
+    world.memory[:] = 0.0
+    world.impulses[:] = LONG_AGO
     robots = world.robots
     for robot in range(world.number):
         robots[X, robot] = world.placing * (2.0 * draw_uniform(world.stream) - 1.0)
@@ -53,7 +51,7 @@ def start(world, seed):
     missions.score(world)
 
 
-@inline(counts=False, inner=True)
+@inline(counts=False, inner=True, copied=False)
 def place(world, robot):
     """Draw places in the disc for a robot until it overlaps nothing."""
     robots = world.robots
@@ -85,14 +83,14 @@ def is_free(world, robot):
     return True
 
 
-@inline(counts=False)
+@inline(counts=False, copied=False)
 def observe(world, observations):
     """Sense, and write what the controllers of all robots see."""
     sensors.sense(world)
     reference_models.interpret(world, observations)
 
 
-@inline(counts=False)
+@inline(counts=False, copied=False)
 def act(world, actions):
     """Take the commands of all robots; unless the trial is over, drive them and score the step."""
     for robot in range(world.number):
@@ -110,7 +108,7 @@ def command(world, wheel, robot, output):
     output = np.float64(output)
     positive = output if output > 0.0 else 0.0  # 0 for NaN
     speed = (2.0 * min(positive, 1.0) - 1.0) * FASTEST * METRES
-    noise = world.noise[WHEEL_NOISE]
+    noise = world.constants[WHEEL_NOISE]
     if noise > 0.0:
         speed *= 1.0 + noise * draw_normal(world.stream)
     world.robots[wheel, robot] = speed

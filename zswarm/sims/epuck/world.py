@@ -47,18 +47,21 @@ DISC, RECTANGLE = range(2)
 BLACK, WHITE = 0.0, 1.0
 MIDDLE_GREY = 127 / 255
 
-# ``noise``.
+# ``constants``: of noise; place and intensity of the lamp.
 WHEEL_NOISE, PROXIMITY_NOISE, LIGHT_NOISE, GROUND_NOISE, LOSS = range(5)
-
-# ``lamp``: its place and intensity.
-LAMP_X, LAMP_Y, LAMP_Z, INTENSITY = range(4)
+LAMP_X, LAMP_Y, LAMP_Z, INTENSITY = range(5, 9)
 
 # ``counts``: of the trial.
 STEP_NUMBER, SUBSTEP = range(2)
 COUNTS = 2
 
+# ``memory``: of a robot, sums of the vectors of messages by step, then black and white readings.
 MEMORY = 11  # steps for which a robot remembers messages
 VOTES = 5  # steps for which it remembers the floor
+FIRST_VOTE, MEMORY_COLUMNS = 2 * MEMORY, 2 * (MEMORY + VOTES)
+
+# ``impulses``: of a pair, along and across the normal, and the last substep in which it touched.
+ALONG, ACROSS, TOUCHED, IMPULSE_COLUMNS = range(4)
 
 
 class EpuckWorld(NamedTuple):
@@ -74,22 +77,18 @@ class EpuckWorld(NamedTuple):
     free: float  # m, the radius of the disc around the middle without outer walls
     hearing: float  # m, the range of messages
     placing: float  # m, the radius of the disc in which robots start
-    noise: Float64s
-    lamp: Float64s
+    constants: Float64s
     walls: Float64Rows
     floor: Float64Rows
     greys: Float64Rows  # (3, quantiles) recorded readings of a grey floor
     robots: Float64Rows  # (ROBOT_ROWS, robots)
-    messages: Float64Rows  # (robots, 2 MEMORY) sums of vectors by step
-    votes: Float64Rows  # (robots, 2 VOTES) black and white readings by step
+    memory: Float64Rows  # (robots, MEMORY_COLUMNS)
     pairs: Int64s  # that may touch in this step: robot * (robots + walls) + robot or wall
     contacts: Float64Rows  # that touch in this substep, see ``contacts``
-    impulses: Float64Rows  # (pairs, 2) along and across the normal
-    touched: Int64s  # (pairs,) the last substep of a contact
-    groups: Int64s  # (robots,) the first robot of those that touch each other
-    members: Int64s  # (robots + pairs,) the robots and the contacts of such a group
-    cells: Float64s  # counters of grid exploration
-    tally: Float64s
+    impulses: Float64Rows  # (pairs, IMPULSE_COLUMNS)
+    # The first robot of those that touch each other, for each; the robots and contacts of a group.
+    groups: Int64s
+    tally: Float64s  # the score; the counters of grid exploration
     counts: Int64s
     stream: UInt64s
 

@@ -38,11 +38,20 @@ class HolderAlive(msgspec.Struct, frozen=True):
     alive: bool
 
 
-class Prepared(SlotMessage, frozen=True):
-    """The slot is ready for its problem."""
+class Preparing(SlotMessage, frozen=True):
+    """The slot has built its problem; with nothing to compile, others find what it compiled."""
 
-    probe: bytes  # digests of the probe's trials; b"" without a probe
-    trial_s: float  # of one trial of the probe
+    compiling: int  # kernels, before the first trial
+    probe_trials: int  # that the probe has: one if the simulator is not repeatable
+
+
+class Prepared(SlotMessage, frozen=True):
+    """The slot played trials of the probe, and is ready for its problem."""
+
+    probe: bytes  # digests of the trials; b"" if the simulator is not repeatable
+    trial_s: float  # of one of them
+    first: int = 0  # of them
+    loaded: bool = False  # it was prepared before
 
 
 class Unprepared(SlotMessage, frozen=True):
@@ -84,7 +93,7 @@ class Drain(msgspec.Struct, frozen=True):
     """Finish the chunks that run, and accept no new work; the token is undeclared already."""
 
 
-SlotEvent = Prepared | Unprepared | Finished | Exhausted | Died
+SlotEvent = Preparing | Prepared | Unprepared | Finished | Exhausted | Died
 Event = Asked | HolderAlive | SlotEvent | Tick | Drain
 
 
@@ -99,11 +108,22 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 class PrepareSlot(SlotMessage, frozen=True):
-    """Prepare the slot for a problem; Prepared, Unprepared or Died follows."""
+    """Prepare the slot for a problem; Prepared, Unprepared or Died follows.
+
+    It reports how far it is by Preparing, and then plays a trial of the probe, which loads all that
+    trials need.
+    """
 
     reserve: messages.Reserve  # with the problem
-    probe: bool  # play the probe, too
-    known: bool = False  # its process is prepared for this problem already
+    first: int = 0  # this trial
+    most: int = 1  # and following ones, so many in all, if they are short
+
+
+class PlayProbe(SlotMessage, frozen=True):
+    """Play trials of the probe in a slot that is prepared; Prepared or Died follows."""
+
+    first: int
+    count: int
 
 
 class RunChunk(SlotMessage, frozen=True):
@@ -132,7 +152,9 @@ class Drained(msgspec.Struct, frozen=True):
     """Exit: nothing runs any more."""
 
 
-Command = Answer | PrepareSlot | RunChunk | StopSlot | KillSlot | Log | Drained
+Command = (
+    Answer | PrepareSlot | PlayProbe | RunChunk | StopSlot | KillSlot | Log | Drained
+)
 
 
 class CommandList(list[Command]):

@@ -24,8 +24,14 @@ another program resumes are taken over, and the first program, if it still lives
 from collections import OrderedDict
 from collections.abc import Callable
 
-from zswarm.protocol.messages import MAX_TEXT, Refusal, Reserve
-from zswarm.ss.slots.events import CommandList, StopSlot
+from zswarm.protocol.messages import MAX_TEXT, PROBE_DIGEST, Refusal, Reserve
+from zswarm.ss.slots.events import (
+    CommandList,
+    PlayProbe,
+    Prepared,
+    PrepareSlot,
+    StopSlot,
+)
 from zswarm.ss.slots.jobs import JobQueue
 from zswarm.ss.slots.reply_cache import ReplyCache
 from zswarm.ss.slots.sharing import Sharing
@@ -112,22 +118,76 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
         working = slot.state in ("preparing", "busy")
         slot.move("stopping" if working else "free", self._out.now)
 
-    # ---- probes
+    # ---- preparing, and the probe
 
-    def look_up_probe(self, lease: HeldLease) -> None:
+    def prepare(self, lease: HeldLease) -> None:
+        """Prepare the slots that are assigned, and have them play the probe."""
+        self._look_up_probe(lease)
+        alone = lease.probe is None and not lease.trials.compiled
+        for slot in lease.slots:
+            if slot.state != "assigned":
+                continue
+            if lease.prepared(slot):
+                slot.move("ready", self._out.now)
+            elif not alone or not any(one.state == "preparing" for one in lease.slots):
+                self._prepare(lease, slot)
+        if lease.probe is None:
+            self._play_probe(lease)
+        if not lease.served and lease.ready() and lease.probe is not None:
+            lease.served = True
+            self._out.log(
+                "lease_ready",
+                user=lease.user,
+                run=lease.run,
+                trial_s=lease.probe.trial_s,
+                probe_trials=len(lease.probe.digest) // PROBE_DIGEST,
+            )
+
+    def _prepare(self, lease: HeldLease, slot: Slot) -> None:
+        first, most = 0, 1
+        if lease.probe is None:
+            first, most = lease.trials.prepare(lease.playing(), self._out.now)
+        slot.move("preparing", self._out.now)
+        slot.prepared_for, slot.probing = lease.reserve, range(first, first + 1)
+        self._out.append(PrepareSlot(slot.index, lease.reserve, first, most))
+
+    def _play_probe(self, lease: HeldLease) -> None:
+        """Hand out trials of the probe to slots that are prepared; know it when it is over."""
+        trials, now = lease.trials, self._out.now
+        for slot in lease.slots:
+            if slot.state != "ready":
+                continue
+            if some := trials.next(lease.playing(), len(lease.slots), now):
+                slot.move("preparing", now)
+                slot.probing = some
+                self._out.append(PlayProbe(slot.index, some.start, len(some)))
+        if trials.known(lease.playing(), now):
+            self._know_played(lease)
+
+    def probe_played(self, lease: HeldLease, event: Prepared) -> None:
+        """Take trials of the probe that a slot of a lease played."""
+        lease.trials.played(event)
+        # Slots that were late may bring more of it than was awaited.
+        known = lease.probe
+        if known is not None and len(lease.trials.digest()) > len(known.digest):
+            self._know_played(lease)
+
+    def _know_played(self, lease: HeldLease) -> None:
+        """Cache the probe of a lease's problem."""
+        trial_s = 0.0 if lease.reserve.asks else lease.trials.trial_s
+        probe = KnownProbe(lease.trials.digest(), trial_s)
+        self._probes[problem_key(lease.reserve)] = probe
+        if len(self._probes) > MAX_PROBES:
+            self._probes.popitem(last=False)
+        self._know(lease, probe)
+
+    def _look_up_probe(self, lease: HeldLease) -> None:
         """Let a lease know the probe of its problem, if it was played before."""
         if lease.probe is None:
             key = problem_key(lease.reserve)
             if (probe := self._probes.get(key)) is not None:
                 self._probes.move_to_end(key)
                 self._know(lease, probe)
-
-    def probe_played(self, lease: HeldLease, probe: KnownProbe) -> None:
-        """Cache the probe of a lease's problem."""
-        self._probes[problem_key(lease.reserve)] = probe
-        if len(self._probes) > MAX_PROBES:
-            self._probes.popitem(last=False)
-        self._know(lease, probe)
 
     @staticmethod
     def _know(lease: HeldLease, probe: KnownProbe) -> None:

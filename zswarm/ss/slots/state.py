@@ -6,8 +6,8 @@ The state of a lease is not stored; it follows from its slots:
 state      the lease ...                              it leaves the state when ...
 =========  =========================================  ==========================================
 waiting    has no slot, and lent none                 a slot is assigned to it (preparing)
-preparing  has slots, none ready for its problem      the first slot is prepared (ready), or all
-                                                      are given back (waiting)
+preparing  has slots, none ready for its problem, or  the first slot is prepared (ready), or all
+           does not know the probe (``probing``)      are given back (waiting)
 ready      has a slot that evaluates, or could, or    its last ready slot dies (preparing), or its
            lent one (``sharing``)                     last slot is given back (waiting)
 failed     cannot be served: ``failure`` has the      never; the run is to release it
@@ -25,8 +25,10 @@ state      the slot ...                               it leaves the state when .
 free       is held by no lease                        it is assigned to a lease
 assigned   is held by a lease, and waits              its process is to be prepared, or is known
                                                       to be prepared for the problem already
-preparing  compiles or loads the problem              it is prepared (ready)
-ready      is idle                                    it gets a chunk (busy)
+preparing  compiles or loads the problem, or plays    it is prepared (ready)
+           trials of the probe
+ready      is idle                                    it gets a chunk (busy), or trials of the
+                                                      probe (preparing)
 busy       evaluates a chunk                          the chunk is finished (ready)
 stopping   lost its lease while it worked             its work ended (free)
 =========  =========================================  ==========================================
@@ -43,9 +45,11 @@ from zswarm.errors import LocalProtocolError
 from zswarm.protocol.messages import Lease, Reserve, State
 from zswarm.ss.slots.events import Query
 from zswarm.ss.slots.jobs import Chunk, JobQueue
+from zswarm.ss.slots.probing import ProbeTrials
 
 LEASE_S = 60.0  # after the last message
 GRACE_S = 30.0  # after the holder's token vanished
+REPORT_S = 0.5  # between two answers about how far a lease is that is not ready
 
 
 SlotState = Literal["free", "assigned", "preparing", "ready", "busy", "stopping"]
@@ -53,7 +57,7 @@ MOVES: dict[SlotState, set[SlotState]] = {
     "free": {"assigned"},
     "assigned": {"preparing", "ready", "free"},
     "preparing": {"ready", "assigned", "stopping"},
-    "ready": {"busy", "assigned", "free"},
+    "ready": {"busy", "preparing", "assigned", "free"},
     "busy": {"ready", "assigned", "stopping"},
     "stopping": {"free"},
 }
@@ -66,6 +70,14 @@ class KnownProbe(NamedTuple):
     trial_s: float  # of one trial
 
 
+class LeaseProgress(NamedTuple):
+    """How far a lease is whose slots are prepared."""
+
+    compiling: int = 0  # kernels
+    probe_begun: int = 0  # trials
+    probe_trials: int = 0  # that the probe has
+
+
 class Slot(msgspec.Struct, eq=False):
     """Room for one evaluation."""
 
@@ -76,6 +88,7 @@ class Slot(msgspec.Struct, eq=False):
     lease: "HeldLease | None" = None
     prepared_for: Reserve | None = None  # whose problem its process is prepared for
     chunk: Chunk | None = None
+    probing: range = range(0)  # trials of the probe that it plays
     trial: int = -1  # that it is at, an index in the chunk; -1 if not known yet
     deaths: int = 0  # in a row, while it was prepared for this lease
 
@@ -88,6 +101,8 @@ class Slot(msgspec.Struct, eq=False):
         if state not in MOVES[self.state]:
             raise LocalProtocolError(f"slot {self.index}: {self.state} to {state}")
         self.state, self.timed_from = state, now
+        if state != "preparing":
+            self.probing = range(0)
 
 
 class Renewal(NamedTuple):
@@ -115,7 +130,12 @@ class HeldLease(msgspec.Struct, eq=False):
     unreported_since: float | None = None
     renewals: list[Renewal] = []
     probe: KnownProbe | None = None  # of its problem, once played
-    served: bool = False  # a slot has been prepared for it
+    trials: ProbeTrials = msgspec.field(default_factory=ProbeTrials)  # of it
+    reported: tuple[LeaseProgress, float] = (
+        LeaseProgress(),
+        0.0,
+    )  # what the run knows, and since when
+    served: bool = False  # a slot was ready for it
     prepare_s: float = 0.0  # of the slot that took longest
     idle_since: float | None = None  # a slot has had nothing to evaluate since then
     lent: int = 0  # slots that others use until this one has work
@@ -126,11 +146,17 @@ class HeldLease(msgspec.Struct, eq=False):
 
     def ready(self) -> int:
         """Return how many slots evaluate, or could: those that are lent come back for work."""
+        if self.probe is None:
+            return 0
         return self.lent + sum(slot.state in ("ready", "busy") for slot in self.slots)
 
     def working(self) -> int:
         """Return how many slots evaluate or are prepared."""
         return sum(slot.state in ("preparing", "busy") for slot in self.slots)
+
+    def playing(self) -> set[int]:
+        """Return the trials of the probe that its slots play."""
+        return {trial for slot in self.slots for trial in slot.probing}
 
     def useful(self) -> int:
         """Return how many slots have a trial, or could have one that waits."""
@@ -139,8 +165,10 @@ class HeldLease(msgspec.Struct, eq=False):
 
     def watch_idle(self, now: float) -> None:
         """Notice whether slots are idle, or lent because they were."""
-        if self.jobs.waiting or not (
-            self.lent or any(slot.state == "ready" for slot in self.slots)
+        if (
+            self.probe is None
+            or self.jobs.waiting
+            or not (self.lent or any(slot.state == "ready" for slot in self.slots))
         ):
             self.idle_since = None
         elif self.idle_since is None:
@@ -150,6 +178,17 @@ class HeldLease(msgspec.Struct, eq=False):
         """Return whether slots have had nothing to evaluate for so long."""
         since = None if self.jobs.waiting else self.idle_since
         return since is not None and now - since >= for_s
+
+    def progress(self) -> LeaseProgress:
+        """Return how far it is before the first slot is ready."""
+        if not self.slots or self.ready():
+            return LeaseProgress()
+        return LeaseProgress(*self.trials.progress())
+
+    def got_on(self, now: float) -> bool:
+        """Return whether the run is to know how far it is now."""
+        known, since = self.reported
+        return self.progress() != known and now - since >= REPORT_S
 
     def status(self) -> Lease:
         """Return the message that reports the state, as in the table above."""
@@ -163,6 +202,7 @@ class HeldLease(msgspec.Struct, eq=False):
             probe=self.probe.digest if self.probe else b"",
             trial_s=self.probe.trial_s if self.probe else 0.0,
             reason=self.failure,
+            **self.progress()._asdict(),
         )
 
     def renew(self, now: float) -> None:

@@ -6,9 +6,9 @@ commands. An event changes only what it is about; what follows from the new stat
 at the end of ``handle``.
 
 - Users share the slots evenly. A lease that has too many gives slots back, each when it is idle.
-- The first slot of a lease is prepared alone, for it compiles and plays the probe; then the others
-  load what it compiled. The probe of a problem is played once while the server runs; where it is
-  known, all slots are prepared at once.
+- The first slot of a lease compiles alone; then the others load what it compiled, and all of them
+  play the probe (``probing.py``). The probe of a problem is played once while the server runs;
+  where it is known, all slots are prepared at once.
 - The answer to a batch is sent when its last chunk is finished. It is sent earlier, as *running*,
   when slots are idle while the run does not know all outcomes, or when the query is open for long.
 - Every query is answered once.
@@ -25,7 +25,7 @@ from zswarm.protocol import messages
 from zswarm.ss.slots import events
 from zswarm.ss.slots.jobs import Chunk
 from zswarm.ss.slots.leases import LeaseTable
-from zswarm.ss.slots.state import HeldLease, KnownProbe, Renewal, Slot, SlotState
+from zswarm.ss.slots.state import HeldLease, Renewal, Slot, SlotState
 
 HOLD_RENEWAL_S = 10.0
 # When slots are idle for longer, outcomes are reported before their batch is done. The end of a
@@ -85,6 +85,8 @@ class SlotTable:
                     lease.gone_since = None if alive else now
             case events.Tick(positions):
                 self._tick(positions)
+            case events.Preparing():
+                self._preparing(self.slots[event.slot], event)
             case events.Drain():
                 self.draining = True
                 for lease in self.leases.values():
@@ -104,7 +106,7 @@ class SlotTable:
         ends = self.draining and not busy and not self._drained
         self._drained |= ends
         for lease in self.leases.values():
-            self._prepare(lease)
+            self.leases.prepare(lease)
             self._start(lease)
             lease.watch_idle(self._out.now)
             self._answer_renewals(lease)
@@ -202,6 +204,12 @@ class SlotTable:
 
     # ---- events of slots
 
+    def _preparing(self, slot: Slot, event: events.Preparing) -> None:
+        """Take note of how far a slot is; one that has lost its lease is not asked for."""
+        if slot.lease is not None and slot.state == "preparing":
+            counts = event.compiling, event.probe_trials
+            slot.lease.trials.built(*counts, self._out.now)
+
     def _slot_event(self, slot: Slot, event: events.SlotEvent) -> None:
         """Take an event of a slot's process; a slot that has lost its lease becomes free."""
         lease, chunk, slot.chunk = slot.lease, slot.chunk, None
@@ -226,7 +234,8 @@ class SlotTable:
         match event:
             case events.Prepared():
                 slot.deaths = 0
-                self._prepared(lease, event, taken_s)
+                lease.prepare_s = max(lease.prepare_s, taken_s)
+                self.leases.probe_played(lease, event)
             case events.Unprepared():
                 self.leases.fail(lease, event.reason)
             case events.Finished() if chunk is not None:
@@ -238,20 +247,6 @@ class SlotTable:
                     f"slot {slot.index} ended a chunk that it does not have"
                 )
         return None
-
-    def _prepared(self, lease: HeldLease, event: events.Prepared, taken_s: float) -> None:
-        lease.prepare_s = max(lease.prepare_s, taken_s)
-        if lease.probe is None:
-            self.leases.probe_played(lease, KnownProbe(event.probe, event.trial_s))
-        if not lease.served and lease.probe is not None:
-            lease.served = True
-            self._out.log(
-                "lease_ready",
-                user=lease.user,
-                run=lease.run,
-                trial_s=lease.probe.trial_s,
-                probe_trials=len(lease.probe.digest) // messages.PROBE_DIGEST,
-            )
 
     def _died(self, slot: Slot, event: events.Died, chunk: Chunk | None) -> None:
         """Blame the trial at which the process of a slot died; a new process has started."""
@@ -276,8 +271,8 @@ class SlotTable:
         slot.deaths += state == "preparing"
         if slot.deaths < PREPARE_ATTEMPTS:
             return
-        if lease.served and len(lease.slots) > 1:
-            # The others could be prepared: there may be too little memory for all of them.
+        if (lease.served or lease.trials.digest_known()) and len(lease.slots) > 1:
+            # Others could be prepared: there may be too little memory for all of them.
             lease.wanted = min(lease.wanted, len(self.slots)) - 1
             self.leases.give_back(slot)
         else:
@@ -336,27 +331,11 @@ class SlotTable:
 
     # ---- what follows from the state
 
-    def _prepare(self, lease: HeldLease) -> None:
-        """Prepare the slots that are assigned: at first one, which compiles."""
-        preparing = any(slot.state == "preparing" for slot in lease.slots)
-        self.leases.look_up_probe(lease)
-        for slot in lease.slots:
-            if slot.state != "assigned":
-                continue
-            known = lease.prepared(slot)
-            if lease.probe is not None and known:
-                self._move(slot, "ready")
-                lease.served = True
-            elif lease.probe is not None or not preparing:
-                self._move(slot, "preparing")
-                slot.prepared_for, preparing = lease.reserve, True
-                probe = lease.probe is None
-                command = events.PrepareSlot(slot.index, lease.reserve, probe, known)
-                self._out.append(command)
-
     def _start(self, lease: HeldLease) -> None:
-        """Hand out chunks to the slots that are ready."""
+        """Hand out chunks to the slots that are ready, once the probe is known."""
         idle = [slot for slot in lease.slots if slot.state == "ready"]
+        if lease.probe is None:
+            return
         while idle and lease.jobs.waiting:
             chunk = lease.jobs.next_chunk(len(lease.slots), len(idle))
             slot = idle.pop(0)
@@ -375,10 +354,11 @@ class SlotTable:
         renewals, lease.renewals = lease.renewals, []
         for renewal in renewals:
             known = renewal.known_ready == lease.ready() and not lease.failure
-            held = known and not self._drained
+            held = known and not self._drained and not lease.got_on(self._out.now)
             if held and self._out.now - renewal.since <= HOLD_RENEWAL_S:
                 lease.renewals.append(renewal)
             else:
+                lease.reported = lease.progress(), self._out.now
                 self._out.answer(renewal.query, lease.status())
 
 

@@ -14,6 +14,7 @@ import ctypes
 import faulthandler
 import gc
 import importlib
+import math
 import mmap
 import multiprocessing
 import multiprocessing.forkserver
@@ -30,17 +31,25 @@ import numpy as np
 from msgspec.msgpack import Decoder, Encoder
 
 from zswarm.errors import ConfigError, EvaluationError, RemoteProtocolError
-from zswarm.kernels.jit import PLAIN
+from zswarm.kernels.jit import PLAIN, compile_all, not_compiled
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import codec
-from zswarm.protocol.messages import Outcomes, Refused, Reserve, Sensors
+from zswarm.protocol.messages import (
+    PROBE_TRIALS,
+    Outcomes,
+    Refused,
+    Reserve,
+    Sensors,
+)
 from zswarm.security import keyring
 from zswarm.ss.slots.events import (
     Died,
     Exhausted,
     Finished,
+    PlayProbe,
     Prepared,
     PrepareSlot,
+    Preparing,
     RunChunk,
     SlotEvent,
     SlotMessage,
@@ -50,7 +59,7 @@ from zswarm.ss.workers import memory
 from zswarm.ss.workers.frames import BrokenFrameError, ProcessEnd
 from zswarm.ss.workers.remote import Trial, Unanswered
 from zswarm.system import landlock, shared_memory
-from zswarm.system.process_state import TIMERS, left_behind, process_state
+from zswarm.system.process_state import StateWatch
 from zswarm.system.text import clean
 
 # In this order; the fork server binds itself to the server before all that takes long.
@@ -75,7 +84,7 @@ class SharedMemory(SlotMessage, frozen=True):
 
 
 # Messages on the pipe; after ``Sensors`` of the wire, the bytes of the optimizer's answer follow.
-ToSlot = PrepareSlot | RunChunk
+ToSlot = PrepareSlot | PlayProbe | RunChunk
 FromSlot = Here | SharedMemory | Sensors | SlotEvent
 encode = Encoder().encode
 to_slot: Decoder[ToSlot] = Decoder(ToSlot)
@@ -135,12 +144,13 @@ class SlotProcess:
     ) -> None:
         # numba comes with it: imported here, never in the server's process
         from zswarm import evaluate
-        from zswarm.probe import probe
+        from zswarm.probe import ALONE_S, probe
 
-        self._evaluate, self._play_probe = evaluate, probe
+        self._evaluate, self._probe, self._alone_s = evaluate, probe, ALONE_S
         self._slot, self._memory_mb = slot, memory_mb
         self._pipe, self._progress = pipe, progress
         self._recycle_at = 0  # bytes
+        self._state = StateWatch()
         self._shared_memory: set[str] = set()  # that simulators created
         self._left: list[str] = []  # what a trial left behind
 
@@ -149,6 +159,8 @@ class SlotProcess:
         try:
             if isinstance(command, RunChunk):
                 return self._run(command)
+            if isinstance(command, PlayProbe):
+                return self._play(command.first, command.count, loaded=True)
             return self._prepare(command)
         except MemoryError:
             memory.lift()
@@ -164,9 +176,8 @@ class SlotProcess:
         """Build a problem, and compile or load all that a trial needs."""
         self._reserve = reserve = command.reserve
         _check_version(reserve)
-        limit_mb = reserve.trial_memory_mb or self._memory_mb
-        memory.restrict(limit_mb)
-        parts = self.simulator, self.representation = self._evaluate.build(
+        memory.restrict(reserve.trial_memory_mb or self._memory_mb)
+        self.simulator, self.representation = self._evaluate.build(
             reserve.simulator.kind,
             reserve.simulator.settings,
             reserve.representation.kind,
@@ -174,17 +185,33 @@ class SlotProcess:
             hosting=not reserve.asks,
             in_slot=True,
         )
-        probe, trial_s, in_turns = b"", 0.0, bool(reserve.asks)
-        if command.probe:
-            probe, trial_s = self._play_probe(*parts, in_turns=in_turns)
-        else:
-            self._evaluate.warm_up(*parts, in_turns=in_turns)
+        trials = PROBE_TRIALS if self.simulator.repeatable else 1
+        if not reserve.asks:  # else no kernel is needed
+            if missing := not_compiled():
+                self._pipe.send(encode(Preparing(self._slot, missing, trials)))
+            compile_all()
+        self._pipe.send(encode(Preparing(self._slot, 0, trials)))
+        return self._play(command.first, command.most)
+
+    def _play(self, first: int, most: int, *, loaded: bool = False) -> Prepared:
+        """Play trials of the probe; what the process has then is what each trial begins with.
+
+        Args:
+            most: trials; if it is not loaded, fewer of long ones.
+        """
+        probe, trial_s = self._probe(
+            self.simulator,
+            self.representation,
+            most,
+            first=first,
+            budget_s=math.inf if loaded else self._alone_s,
+            in_turns=bool(self._reserve.asks),
+        )
+        limit_mb = self._reserve.trial_memory_mb or self._memory_mb
         self._recycle_at = (memory.used() + (limit_mb << 20)) // 2
-        # No trial may leave a timer, that of the warm-up neither.
-        self._prepared = process_state()._replace(timers=[False] * len(TIMERS))
+        self._state.begin()
         self._known_memory = self._shared_memory.copy()
-        # The probe's trials do not ask the optimizer; those of the run take longer.
-        return Prepared(self._slot, probe, 0.0 if reserve.asks else trial_s)
+        return Prepared(self._slot, probe, trial_s, first, loaded)
 
     def _run(self, command: RunChunk) -> Finished:
         begin, work = time.perf_counter(), command.work
@@ -229,7 +256,7 @@ class SlotProcess:
         """Return whether the last trial left something behind that later ones could meet."""
         if not self._pipe.connected():
             os._exit(CUT_OFF)  # at this trial, which is to blame
-        self._left = left_behind(self._prepared)
+        self._left = self._state.left_behind()
         new = sorted(self._shared_memory - self._known_memory)
         self._left += [f"shared memory ({name})" for name in new]
         return bool(self._left)

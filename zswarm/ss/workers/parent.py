@@ -26,7 +26,7 @@ import msgspec
 import numpy as np
 import structlog
 
-from zswarm.ss.slots.events import Died, PrepareSlot, RunChunk
+from zswarm.ss.slots.events import Died, PlayProbe, PrepareSlot, RunChunk
 from zswarm.ss.workers import child, memory
 from zswarm.ss.workers.child import FromSlot, Here, SharedMemory, encode, from_slot
 from zswarm.ss.workers.frames import BrokenFrameError, ServerEnd, new_key, new_pipe
@@ -193,10 +193,14 @@ class Worker:
     # ---- work
 
     def prepare(self, command: PrepareSlot) -> None:
-        """Prepare a problem, in a new process unless it is known to this one."""
-        if self._prepared and not command.known:
+        """Prepare a problem, in a process that was prepared for no other one."""
+        if self._prepared:
             self.kill()
         self._prepared = True
+        self._send(encode(command))
+
+    def play_probe(self, command: PlayProbe) -> None:
+        """Play trials of the probe."""
         self._send(encode(command))
 
     def run(self, command: RunChunk) -> None:
