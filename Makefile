@@ -7,7 +7,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 KILLS ?= 200
 THIRD_PARTY ?= ../shared/third-party
 
-.PHONY: run test long attacks programs product vmas browser robots rest chaos faults machines units kills stage bits-everywhere lint format docs docs-commands reference bench bench-quick bench-methods benchmarks paper scale soak clean
+.PHONY: run test long attacks fuzz programs product vmas browser robots rest chaos faults machines units kills stage bits-everywhere lint format docs docs-commands reference bench bench-quick bench-methods benchmarks paper scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -21,6 +21,10 @@ long: $(READY)
 # Attacks on the real programs, on loopback.
 attacks: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m attacks $(ARGS)
+
+# Mutated messages to a server and optimizers, for so long: make fuzz SECONDS=1800.
+fuzz: $(READY)
+	FUZZ_SECONDS=$(or $(SECONDS),60) $(BIN)/python -m pytest -n 3 -rP -m attacks tests/attacks/test_fuzz.py $(ARGS)
 
 # Servers and optimizers as real programs.
 programs: $(READY)

@@ -1,6 +1,6 @@
 #!/bin/sh
 # Install zswarm-ss on many machines, one after another: run the steps of docs/deploy.md by ssh.
-#   fleet.sh install|upgrade|join|uninstall|status HOST...
+#   fleet.sh install|upgrade|join|firewall|uninstall|status HOST...
 # HOST is an ssh destination with root, or with sudo without a password. Stops at the first failure.
 # install joins the keys of lab-01 from lab-01.zkeys in this folder; join updates them, and members.zkeys.
 # PACKAGE: for pip, 'zswarm[keys] @ file:///PATH' of a wheel on the machines, or an address that
@@ -34,9 +34,17 @@ join='
 [ ! "$members" ] || /opt/zswarm/bin/zswarm-keys join "$members"
 systemctl reload zswarm-ss
 '
+# What nftables loads when the machine starts is left as it is, but for a line.
+firewall='
+install -D -m 644 /opt/zswarm/share/zswarm/nftables/zswarm.nft /etc/zswarm/zswarm.nft
+nft -f /etc/zswarm/zswarm.nft
+grep -qs /etc/zswarm/zswarm.nft /etc/nftables.conf || echo "include \"/etc/zswarm/zswarm.nft\"" >> /etc/nftables.conf
+systemctl enable nftables
+'
 uninstall='
 systemctl disable --now zswarm-ss
 rm -rf /opt/zswarm /etc/zswarm /var/lib/zswarm /var/cache/zswarm
+[ ! -e /etc/nftables.conf ] || sed -i /zswarm.nft/d /etc/nftables.conf
 rm -f /etc/systemd/system/zswarm-ss.service /etc/sysusers.d/zswarm.conf /etc/tmpfiles.d/zswarm.conf
 systemctl daemon-reload
 userdel zswarm
@@ -47,12 +55,13 @@ systemctl is-active zswarm-ss || :
 /opt/zswarm/bin/zswarm-ss status || :
 '
 
-usage="usage: fleet.sh install|upgrade|join|uninstall|status HOST..."
+usage="usage: fleet.sh install|upgrade|join|firewall|uninstall|status HOST..."
 [ $# -ge 2 ] || { echo "$usage" >&2; exit 2; }
 case $1 in
     install) script=$install ;;
     upgrade) script=$upgrade ;;
     join) script=$join ;;
+    firewall) script=$firewall ;;
     uninstall) script=$uninstall ;;
     status) script=$status ;;
     *) echo "$usage" >&2; exit 2 ;;

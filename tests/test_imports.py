@@ -40,7 +40,8 @@ probe:              evaluate kernels nets protocol sims
 controller:         BASE nets plugins
 security:           BASE protocol
 session:            errors protocol security system
-router:             BASE security session
+daemon:             BASE security session
+router:             BASE daemon security session
 api:                errors experiment ot ot.analysis ot.cluster ot.record ot.study
 ot:                 BASE controller evaluate experiment kernels ot.assessment ot.cluster
                     ot.commands.shared ot.display ot.optimizers ot.rankings ot.record ot.study
@@ -77,7 +78,7 @@ ros.launch:         BASE controller kernels plugins robots robots.c ros.link sim
 ros.link:           BASE robots.profiles ros.link.bridges
 ros.link.bridges:   BASE ros.link
 ros.simulation:     BASE kernels plugins robots.profiles ros.launch ros.link ros.link.bridges sims
-ss:                 BASE plugins protocol security session ss.local ss.slots ss.workers
+ss:                 BASE daemon plugins protocol security session ss.local ss.slots ss.workers
 ss.local:           BASE ss.slots ss.workers
 ss.slots:           errors protocol
 ss.workers:         BASE evaluate probe kernels plugins protocol security ss.slots

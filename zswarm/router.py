@@ -10,7 +10,7 @@ import click
 import msgspec
 import structlog
 
-from zswarm import session
+from zswarm import daemon, session
 from zswarm.config.decode import overridden
 from zswarm.errors import ConfigError
 from zswarm.security import refusals
@@ -104,7 +104,7 @@ def serve(read_options: Callable[[], RouterOptions]) -> int:
     logger.info(
         "router_ready",
         listen=listen,
-        keys=session.keys_in_words(reach),
+        keys=daemon.keys_in_words(reach),
         multicast=options.multicast,
         program=VERSION,
     )
@@ -121,7 +121,7 @@ def serve(read_options: Callable[[], RouterOptions]) -> int:
             try:
                 opened, listen = _open(new_options, new_reach)
                 options, reach = new_options, new_reach
-                logger.info("reloaded", listen=listen, keys=session.keys_in_words(reach))
+                logger.info("reloaded", listen=listen, keys=daemon.keys_in_words(reach))
             except ConfigError as error:
                 logger.error("reload_refused", reason=str(error))
                 opened = _reopen(options, reach)
@@ -140,14 +140,14 @@ def _next_signal(signals: set[signal.Signals], received: list[int]) -> int:
 
 
 def _reach(options: RouterOptions) -> Reach:
-    return session.daemon_reach(
+    return daemon.find_reach(
         "router", multicast=options.multicast, require_keys=options.require_keys
     )
 
 
 def _open(options: RouterOptions, reach: Reach) -> tuple[session.Session, list[str]]:
     opened, listen = session.open_router(options.listen, reach)
-    session.watch(opened, listen, reach, "router")
+    daemon.watch(opened, listen, reach, "router")
     return opened, listen
 
 

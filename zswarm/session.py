@@ -18,9 +18,9 @@ import zenoh
 
 from zswarm.errors import ConfigError, NoRouter
 from zswarm.protocol import endpoint
-from zswarm.security import access, keyring, refusals
+from zswarm.protocol.messages import MAX_MESSAGE
+from zswarm.security import access
 from zswarm.security.keyring import Keyring
-from zswarm.security.members import Role
 from zswarm.system import scouting
 from zswarm.system.program import CLOSING
 
@@ -33,8 +33,20 @@ WAIT_BEFORE_CLOSE_S = 60
 # Of zenoh. A dead link on which a message hangs occupies one until it is given up.
 SENDING_THREADS = 64
 OPEN_FILES = 8192
+OTHER_BYTES = 64 << 10  # of a message of zenoh's, besides ours: its key, for example
+RETRY_MS = 2000  # between attempts to dial a given endpoint, at most; and with keys:
+REFUSED_RETRY_MS = 30_000  # each refused handshake delays others there by 0.1 s
 CLOSING_S = 1.0  # for a close that a dead link blocks
 QUEUE = 10_000  # waiting calls of a sender
+
+# The answer to an offer is sent as its query was, and by one thread for all: it must not wait for
+# an optimizer that takes no answers.
+OFFERS = {
+    "messages": ["query"],
+    "key_exprs": ["zswarm/*/*/ss/*/offer"],
+    "flows": ["ingress"],
+    "overwrite": {"congestion_control": "drop"},
+}
 
 Mode = Literal["peer", "client", "router"]
 Session = zenoh.Session
@@ -48,45 +60,6 @@ class Reach(NamedTuple):
     # One of ``connect``, or one that multicast finds, carries all.
     through_router: bool = False
     keyring: Keyring | None = None  # None: in the clear
-
-
-# ---- what the daemons share: a server and a router
-
-
-def daemon_reach(
-    role: Role, connect: Sequence[str] = (), *, multicast: bool, require_keys: bool
-) -> Reach:
-    """Return how a daemon is reached, with the keys that are installed now.
-
-    Raises:
-        ConfigError: the keys cannot be used, or are required and not installed.
-    """
-    ring = keyring.installed(role)
-    if ring is None and require_keys:
-        raise ConfigError(
-            "require_keys is set, and no keys are installed: zswarm-keys join BUNDLE"
-        )
-    return Reach(connect, multicast, keyring=ring)
-
-
-def keys_in_words(reach: Reach) -> str:
-    """Return which keys are used, for a log."""
-    ring = reach.keyring
-    return f"{ring.authority} until {ring.not_after:%Y-%m-%d}" if ring else "none"
-
-
-def watch(opened: Session, listen: Sequence[str], reach: Reach, who: str) -> None:
-    """Log what limits or endangers an open daemon, and who is refused for not being a member."""
-    import structlog  # imports rich, which an optimizer does not need
-
-    log = structlog.get_logger()
-    if reach.multicast and (fault := scouting.fault()):
-        log.warning("multicast_unavailable", reason=fault, listen=listen)
-    if reach.keyring is not None:
-        refusals.watch_members(opened, reach.keyring)
-    else:
-        reason = f"anyone who reaches the port can use this {who}; zswarm-keys admits members only"
-        log.warning("in_the_clear", reason=reason)
 
 
 # ---- sessions
@@ -195,7 +168,7 @@ def _config(
             "exit_on_failure": {mode: False},
             "retry": {
                 "period_init_ms": 20,
-                "period_max_ms": 2000,
+                "period_max_ms": RETRY_MS if reach.keyring is None else REFUSED_RETRY_MS,
                 "period_increase_factor": 1.5,
             },
         },
@@ -224,6 +197,7 @@ def _config(
             "link": _link(reach.keyring),
         },
         "adminspace": {"enabled": False},
+        "qos": {"network": [OFFERS]},
     }
     if timeout_ms > 0:
         config["scouting"]["timeout"] = timeout_ms
@@ -242,7 +216,7 @@ def _link(keyring: Keyring | None) -> dict[str, Any]:
             "batch_size": 16384,
             "queue": {"congestion_control": {"block": blocked}},
         },
-        "rx": {"max_message_size": 64 << 20},
+        "rx": {"max_message_size": MAX_MESSAGE + OTHER_BYTES},
     }
     if keyring is not None:
         link |= {"protocols": ["tls"], "tls": _tls(keyring)}

@@ -54,7 +54,12 @@ def test_the_example_of_a_configuration_shows_the_defaults(
 
 @pytest.mark.parametrize(
     ("what", "heading"),
-    [("install", "Install"), ("upgrade", "Upgrade"), ("uninstall", "Uninstall")],
+    [
+        ("install", "Install"),
+        ("upgrade", "Upgrade"),
+        ("firewall", "Limit connections"),
+        ("uninstall", "Uninstall"),
+    ],
 )
 def test_the_script_for_many_machines_does_what_the_document_says(
     what: str, heading: str
@@ -84,7 +89,7 @@ def test_the_script_for_many_machines_prints_its_usage(arguments: list[str]) -> 
     )
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(
-        "usage: fleet.sh install|upgrade|join|uninstall|status HOST..."
+        "usage: fleet.sh install|upgrade|join|firewall|uninstall|status HOST..."
     )
 
 

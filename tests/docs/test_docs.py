@@ -238,6 +238,10 @@ def test_the_limits_of_the_wire_are_stated() -> None:
         messages.MAX_TRIALS,
         messages.MAX_SLOTS,
         messages.MAX_TEXT,
+        messages.MAX_VALUES,
+        messages.MAX_SETTINGS,
+        messages.MAX_EPOCH,
+        *messages.MAX_REQUEST.values(),
     ):
         assert f"{limit:,}" in stated, f"docs/protocol.md: the limit {limit:,} is missing"
 

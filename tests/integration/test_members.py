@@ -537,9 +537,8 @@ def test_a_user_cannot_use_see_or_cancel_work_of_others(server: Server, lab: Lab
                 assert ask(bob, key, message) is None, key
             own = ask(bob, keys.request("default", name, "bob", "run", verb), message)
             assert not isinstance(own, Lease)
-        assert not server.events("member_refused")[0]["key"].startswith(
-            f"{keys.ROOT}/default/ss/{name}/ot/bob/"
-        )
+        refused = wait_until(lambda: server.events("member_refused"), "it is logged")
+        assert not refused[0]["key"].startswith(f"{keys.ROOT}/default/ss/{name}/ot/bob/")
         assert {event["certificate"] for event in server.events("member_refused")} == {
             "ot.bob"
         }, "alice did nothing wrong"

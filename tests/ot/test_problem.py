@@ -5,7 +5,7 @@ import pytest
 import zswarm
 from zswarm.errors import ConfigError
 from zswarm.ot import problem
-from zswarm.protocol import messages
+from zswarm.protocol import codec, messages
 
 LARGEST = {"kind": "fully-meshed", "hidden": 1000}
 
@@ -54,3 +54,37 @@ def test_settings_that_no_server_takes_are_refused(
         ConfigError, match=r"problem\.settings: cannot be sent to servers: a message has"
     ):
         zswarm.problem(simulator="minisim")
+
+
+def test_settings_larger_than_servers_take_are_refused_with_their_sizes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loaded = zswarm.load("minisim")
+    sizes = r"[0-9]+ and [0-9]+ bytes as they are sent; at most 60 together can be sent to servers"
+    monkeypatch.setattr(problem, "MAX_SETTINGS", 60)
+    with pytest.raises(
+        ConfigError, match=r"problem\.settings and representation: " + sizes
+    ):
+        zswarm.problem(loaded)
+    monkeypatch.setattr(messages, "MAX_VALUES", 3)
+    with pytest.raises(ConfigError, match=r"settings have more than 3 values"):
+        zswarm.problem(loaded)
+
+
+def test_settings_at_their_limit_fit_into_each_request() -> None:
+    """With the longest names, and more versions than any simulator has."""
+    most = {"text": "x" * (messages.MAX_SETTINGS - 20)}
+    versions = {f"code of simulator {number}": "x" * 100 for number in range(100)}
+    asked = messages.Requirements(settings=most, versions=versions)
+    reserve = messages.Reserve(
+        nonce=bytes(16),
+        epoch=messages.MAX_EPOCH,
+        slots=messages.MAX_SLOTS,
+        simulator=messages.Part("x" * 500, most),
+        representation=messages.Part("x" * 500, {}),
+        version_hash="x" * 500,
+        trial_timeout_s=1.0,
+        proof=bytes(32),
+    )
+    for message in (asked, reserve):
+        codec.check_size(messages.verb(message), len(codec.encode(message)))

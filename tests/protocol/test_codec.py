@@ -68,7 +68,7 @@ REQUESTS = {
     },
     Reserve: {
         "nonce": TOKENS,
-        "epoch": COUNTS,
+        "epoch": st.integers(0, messages.MAX_EPOCH),
         "slots": st.integers(1, messages.MAX_SLOTS),
         "simulator": PARTS,
         "representation": PARTS,
@@ -76,6 +76,7 @@ REQUESTS = {
         "trial_timeout_s": st.floats(0, 1e9, exclude_min=True),
         "trial_memory_mb": st.integers(0, 2**40),
         "asks": st.sampled_from(["", "turn", "agent"]),
+        "proof": st.binary(max_size=32),
     },
     messages.Renew: {"lease": TOKENS, "known_ready": st.integers(-1, messages.MAX_SLOTS)},
     Evaluate: {
@@ -617,6 +618,54 @@ def test_settings_hold_plain_finite_values_only(
     which: str, raw: bytes, text: str
 ) -> None:
     assert text in refusal(with_settings(raw, which))
+
+
+def test_settings_have_a_limited_number_of_values() -> None:
+    for many in (
+        {"a": [0] * messages.MAX_VALUES},
+        {"a": [{"b": [""] * 99} for _ in range(messages.MAX_VALUES // 100)]},
+    ):
+        for which in ("simulator", "representation"):
+            assert "more than 10,000 values" in refusal(with_settings(pack(many), which))
+        asked = messages.Requirements(settings=many)
+        assert "more than 10,000 values" in refusal(codec.encode(asked))
+    most = {"a": [0] * (messages.MAX_VALUES - 1)}
+    assert codec.decode_request(codec.encode(messages.Requirements(settings=most)))
+
+
+@pytest.mark.parametrize("verb", list(messages.MAX_REQUEST))
+def test_a_request_too_large_for_its_verb_is_refused_before_it_is_decoded(
+    verb: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    limit = messages.MAX_REQUEST[verb]
+    key = keys.request("r", "ss", "ada", "run", verb)
+    with pytest.raises(RemoteProtocolError, match="not a message"):
+        codec.decode_query(key, bytes(limit))
+    monkeypatch.setattr(codec, "_decode", None)
+    with pytest.raises(RemoteProtocolError) as refused:
+        codec.decode_query(key, bytes(limit + 1))
+    text = f"a request to {verb} has {limit + 1:,} bytes; at most {limit:,} are taken"
+    assert str(refused.value) == text
+
+
+def test_every_verb_has_a_limit_that_its_largest_honest_message_keeps() -> None:
+    assert set(messages.MAX_REQUEST) == set(messages.VERBS.values())
+    token, many = bytes(16), [2**53] * MAX_TRIALS
+    for message in (
+        messages.Cancel(lease=token, batches=many),
+        messages.Renew(lease=token, known_ready=messages.MAX_SLOTS),
+        messages.Release(lease=token),
+        evaluate(genomes=[bytes(messages.MAX_GENOME)] * 2),
+    ):
+        verb = messages.verb(message)
+        codec.check_size(verb, len(codec.encode(message)))
+
+
+def test_a_proof_differs_between_servers_and_shows_no_secret() -> None:
+    secret = bytes(range(16))
+    here, there = (messages.proof(secret, name) for name in ("lab-1", "lab-2"))
+    assert len({here, there, secret, messages.proof(bytes(16), "lab-1")}) == 4
+    assert messages.proof(b"", "lab-1") == b""
 
 
 def test_settings_are_nested_eight_deep_at_most() -> None:

@@ -10,6 +10,7 @@ from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import Refused, Renew
 from zswarm.ss import network
 from zswarm.ss.network import Inbox, PeerQuery, Presence
+from zswarm.ss.slots import events
 
 
 class Payload(bytes):
@@ -65,6 +66,61 @@ def test_queries_beyond_the_bytes_that_may_wait_are_dropped(
     server._on_query(more)
     assert not more.dropped
     server.finish(60.0)
+
+
+def of(user: str, size: int = 10) -> Any:
+    query = Query(bytes(size))
+    query.key_expr = f"zswarm/v1/default/ss/lab-1/ot/{user}/run-1/evaluate"
+    return query
+
+
+def test_a_user_who_sends_much_leaves_room_for_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(network, "SHARE_BYTES", 100)
+    monkeypatch.setattr(network, "SHARE", 3)
+    server = presence()
+    large, small = [of("mallory", 60) for _ in range(2)], [of("eve") for _ in range(4)]
+    honest = of("ada", 60)
+    for query in [*large, *small, honest]:
+        server._on_query(query)
+    assert [query.dropped for query in large] == [False, True]
+    assert [query.dropped for query in small] == [False, False, False, True]
+    assert not honest.dropped
+    order = [query.key.split("/")[6] for query in queries(server)]
+    assert order == ["mallory", "eve", "ada", "eve", "eve"], "users take turns"
+    again = of("mallory", 100)
+    server._on_query(again)
+    assert not again.dropped, "what was taken does not count any more"
+
+
+def test_a_request_too_large_for_its_verb_is_answered_with_the_reason(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    server = presence()
+    large: Any = Query(bytes(1 << 20))
+    server._on_query(large)
+    (waiting,) = queries(server)
+    monkeypatch.setattr(PeerQuery, "body", None)  # it is not even copied
+    assert server.decode(waiting) is None
+    assert large.ended()
+    refused = codec.decode_reply(large.replies[0])
+    assert isinstance(refused, Refused)
+    assert refused.code == "malformed"
+    assert refused.reason.startswith("a request to renew has 1,048,576 bytes")
+    server.finish(60.0)
+
+
+def test_tokens_of_runs_take_the_share_of_their_user(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(network, "SHARE", 2)
+    inbox = Inbox()
+    gone = events.HolderAlive("eve", "run", alive=False)
+    assert [inbox.put_of("eve", gone) for _ in range(3)] == [True, True, False]
+    inbox.put(15)
+    assert list(inbox.take()) == [15, gone, gone], "signals come first"
+    assert not inbox
 
 
 def test_a_request_of_a_later_program_is_refused_as_unsupported() -> None:

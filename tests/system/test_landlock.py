@@ -33,11 +33,9 @@ def inside(test: Callable[[], None]) -> int | None:
     return process.exitcode
 
 
-def supported() -> bool:
-    return landlock._call(landlock.CREATE_RULESET, None, 0, landlock.VERSION) >= 2
-
-
-needs_landlock = pytest.mark.skipif(not supported(), reason="no Landlock in this kernel")
+needs_landlock = pytest.mark.skipif(
+    not landlock.supported(), reason="no Landlock in this kernel"
+)
 
 
 @needs_landlock
@@ -82,3 +80,20 @@ def test_nothing_is_hidden_where_everyone_makes_files(tmp_path: Path) -> None:
 
 def test_what_does_not_exist_needs_no_hiding(tmp_path: Path) -> None:
     assert landlock.hide([tmp_path / "nowhere"])
+
+
+@needs_landlock
+def test_folders_that_can_be_hidden_have_no_reason_why_not(folder: Path) -> None:
+    assert landlock.why_not([folder / "keys", folder / "nowhere"]) == ""
+
+
+def test_why_folders_are_not_hidden_is_named(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keys = folder / "keys"
+    folder.chmod(0o777)
+    assert landlock.why_not([keys]) == f"everyone may write in a folder above {keys}"
+    monkeypatch.setattr(landlock, "_call", lambda *_: -1)  # as an old kernel answers
+    assert "this kernel has no Landlock" in landlock.why_not([keys])
+    assert not landlock.hide([keys])
+    assert landlock.why_not([folder / "nowhere"]) == "", "there is nothing to hide"

@@ -187,12 +187,13 @@ def not_compiled() -> int:
 @contextlib.contextmanager
 def interpreted() -> Iterator[None]:
     """Run kernels as Python functions: a few steps take less time than importing the compiler."""
+    before = _interpreting
     _switch(interpreting=True)
     try:
         with np.errstate(over="ignore"):
             yield
     finally:
-        _switch(interpreting=False)
+        _switch(interpreting=before)
 
 
 def _switch(*, interpreting: bool) -> None:

@@ -17,7 +17,13 @@ from zswarm.ot.rankings.ranking import Ranking, Round
 from zswarm.ot.workload import Workload
 from zswarm.plugins import registry as plugins
 from zswarm.protocol import codec
-from zswarm.protocol.messages import MAX_GENOME, MAX_GENOMES, MAX_MESSAGE, Requirements
+from zswarm.protocol.messages import (
+    MAX_GENOME,
+    MAX_GENOMES,
+    MAX_MESSAGE,
+    MAX_SETTINGS,
+    Requirements,
+)
 
 CHECKED_BYTES = 16 << 20  # of genomes that are checked at once
 OTHER_BYTES = 1000  # of a message, besides genomes, for each of them and once more
@@ -56,6 +62,15 @@ class Problem:
                 raise ConfigError(
                     f"{where}: cannot be sent to servers: {error}"
                 ) from None
+        sizes = [
+            len(msgspec.msgpack.encode(sent))
+            for sent in (problem.settings, network.settings)
+        ]
+        if sum(sizes) > MAX_SETTINGS:
+            raise ConfigError(
+                f"problem.settings and representation: {sizes[0]:,} and {sizes[1]:,} bytes as they"
+                f" are sent; at most {MAX_SETTINGS:,} together can be sent to servers"
+            )
         participants = self.simulator.participants
         if participants > MAX_GENOMES:
             raise ConfigError(

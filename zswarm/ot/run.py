@@ -13,6 +13,7 @@ from zswarm.ot.build import Parts
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.events import Counted, Retracted
 from zswarm.ot.cluster.machines import Known
+from zswarm.ot.cluster.matching import RunProgram
 from zswarm.ot.cluster.shell import Cluster, Item
 from zswarm.ot.generation import Assessment
 from zswarm.ot.identity import here
@@ -55,7 +56,7 @@ def evolve(
     leased = connection.cluster(
         problem,
         run=notebook.run_id,
-        epoch=record.meta("epoch"),
+        program=RunProgram(record.meta("epoch"), record.meta("secret")),
         slots=problem.trials_at_once(optimizer.candidates) or messages.MAX_SLOTS,
         probe=notebook.probe,
         known=notebook.known(),

@@ -20,6 +20,7 @@ from zswarm.system.text import clean
 M = TypeVar("M", bound=messages.Message)
 
 MAX_DEPTH = 8  # of settings
+UNKNOWN_REQUEST = 64 << 10  # bytes, of a request that a later program has
 INVALID = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 # Fields whose texts are shown somewhere, by message; labels are checked by pattern instead.
 _TEXTS = (
@@ -59,13 +60,21 @@ def decode_request(body: bytes) -> messages.Request:
     """
     message = _decode(body, _requests)
     if isinstance(message, messages.Requirements):
-        _check_plain(message.settings, MAX_DEPTH)
+        _check_settings(message.settings)
     return message
+
+
+def check_size(verb: str, size: int) -> None:
+    """Refuse a request that has too many bytes for its verb; one that is unknown may be small."""
+    if size > (limit := messages.MAX_REQUEST.get(verb, UNKNOWN_REQUEST)):
+        text = f"a request to {verb} has {size:,} bytes; at most {limit:,} are taken"
+        raise RemoteProtocolError(text)
 
 
 def decode_query(key: str, body: bytes) -> tuple[keys.ServerKey, messages.Request]:
     """Return the parts of a server's key, and the message that was sent to it."""
     parts = keys.parse_server_key(key)
+    check_size(parts.verb, len(body))
     message = decode_request(_adapted(parts.version, body))
     if parts.verb != messages.verb(message):
         raise RemoteProtocolError(f"a {type(message).__name__} was sent to {parts.verb}")
@@ -242,7 +251,7 @@ def _clean(value: Any) -> Any:
         case list():
             return [clean(text) for text in value]
         case messages.Part():
-            _check_plain(value.settings, MAX_DEPTH)
+            _check_settings(value.settings)
             return messages.Part(clean(value.kind), value.settings)
     return {clean(name): clean(text) for name, text in value.items()}
 
@@ -259,24 +268,37 @@ def _refusal(body: bytes, error: Exception) -> RemoteProtocolError:
     )
 
 
-def _check_plain(value: Any, depth: int) -> None:
-    """Refuse settings but tables, lists, texts, finite numbers and booleans, or nested too deep."""
-    if depth == 0:
+def _check_settings(settings: dict[str, Any]) -> None:
+    """Refuse settings but tables, lists, texts, finite numbers and booleans; too deep, too many."""
+    level: list[Any] = [settings]
+    count = 0
+    for _ in range(MAX_DEPTH):
+        inner: list[Any] = []
+        for value in level:
+            match value:
+                case dict():
+                    if not all(map(_is_key, value)):
+                        text = "a key of settings is not a text, or too long"
+                        raise RemoteProtocolError(text)
+                    inner += value.values()
+                case list():
+                    inner += value
+                case float() if not math.isfinite(value):
+                    raise RemoteProtocolError("a setting is not finite")
+                case float() | str() | int():
+                    pass
+                case _:
+                    text = f"a setting is of type {type(value).__name__}"
+                    raise RemoteProtocolError(text)
+        count += len(inner)
+        if count > messages.MAX_VALUES:
+            raise RemoteProtocolError(
+                f"settings have more than {messages.MAX_VALUES:,} values"
+            )
+        level = inner
+    if level:
         raise RemoteProtocolError(f"settings are nested deeper than {MAX_DEPTH}")
-    match value:
-        case dict():
-            for key, item in value.items():
-                if not isinstance(key, str) or len(key) > messages.MAX_TEXT:
-                    raise RemoteProtocolError(
-                        "a key of settings is not a text, or too long"
-                    )
-                _check_plain(item, depth - 1)
-        case list():
-            for item in value:
-                _check_plain(item, depth - 1)
-        case float() if not math.isfinite(value):
-            raise RemoteProtocolError("a setting is not finite")
-        case float() | str() | int():
-            pass
-        case _:
-            raise RemoteProtocolError(f"a setting is of type {type(value).__name__}")
+
+
+def _is_key(key: object) -> bool:
+    return isinstance(key, str) and len(key) <= messages.MAX_TEXT

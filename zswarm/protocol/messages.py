@@ -5,6 +5,7 @@ a program with further optional fields works with one that lacks them. Arrays ar
 bytes.
 """
 
+import hashlib
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -15,6 +16,10 @@ MAX_GENOMES = 4096  # in one batch
 MAX_GENOME = 16_000_000  # bytes
 MAX_TRIALS = 65_536  # in one batch
 MAX_TEXT = 500  # characters
+MAX_VALUES = 10_000  # in the settings of a message: texts, numbers, lists and maps
+# Bytes of the settings of simulator and representation; names and versions are sent with them.
+MAX_SETTINGS = 48 << 10
+MAX_EPOCH = 1_000_000
 MAX_SLOTS = 65_535
 # Per slot, that a run may ask for or a server give: with less, there is no room for a compiler.
 MIN_MEMORY_MB = 256
@@ -31,7 +36,9 @@ PROBE_DIGEST = 8  # bytes, of one trial
 
 Text = Annotated[str, Meta(max_length=MAX_TEXT)]
 Token = Annotated[bytes, Meta(min_length=16, max_length=16)]
+Proof = Annotated[bytes, Meta(max_length=32)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
+Epoch = Annotated[int, Meta(ge=0, le=MAX_EPOCH)]
 Seconds = Annotated[float, Meta(ge=0, le=1e9)]
 Megabytes = Annotated[int, Meta(ge=0, le=2**40)]  # of 2^20 bytes
 Genome = Annotated[bytes, Meta(max_length=MAX_GENOME)]
@@ -96,7 +103,7 @@ class Reserve(Message, frozen=True, tag="reserve"):
     """Phase 2: the right to slots, and all that is needed to evaluate for this run."""
 
     nonce: Token  # the same nonce gets the same lease
-    epoch: Count  # raised by every resume; a higher one takes the run's lease over
+    epoch: Epoch  # raised by every resume; a higher one takes the run's lease over
     slots: Annotated[int, Meta(ge=1, le=MAX_SLOTS)]
     simulator: Part
     representation: Part
@@ -106,6 +113,8 @@ class Reserve(Message, frozen=True, tag="reserve"):
     trial_memory_mb: Megabytes = 0
     # The controllers stay at the optimizer, which is asked in each turn, or for each agent.
     asks: Asks = ""
+    # The same for all programs of the run, and known to no others: see ``proof``.
+    proof: Proof = b""
 
 
 class Renew(Message, frozen=True, tag="renew"):
@@ -266,8 +275,29 @@ VERBS: dict[type[Request], Verb] = {
     Cancel: "cancel",
     Release: "release",
 }
+# Bytes of a request. A larger one is refused before it is decoded.
+MAX_REQUEST: dict[str, int] = {
+    "offer": 64 << 10,
+    "reserve": 64 << 10,
+    "renew": 4 << 10,
+    "evaluate": MAX_MESSAGE,
+    "cancel": 640 << 10,
+    "release": 4 << 10,
+}
 Reply = Offer | Lease | Outcomes | Running | Fault | Refused | Done
 Reaction = Actuators | Refused
+
+
+def proof(secret: bytes, server: str) -> bytes:
+    """Return what shows to one server that a program belongs to a run, and to no other server.
+
+    Args:
+        secret: of the run; b"": it has none.
+        server: id of the server.
+    """
+    if not secret:
+        return b""
+    return hashlib.blake2b(server.encode(), key=secret, digest_size=16).digest()
 
 
 def verb(request: Request) -> Verb:

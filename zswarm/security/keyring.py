@@ -63,6 +63,11 @@ def of_user() -> Path:
     return Path(config, "zswarm", "keys")
 
 
+def folders() -> set[Path]:
+    """Return where keys of this machine may be, of any user."""
+    return {SYSTEM, of_user(), find() or SYSTEM}
+
+
 def load(folder: Path, role: Role | None = None) -> Keyring:
     """Return the keys of a folder.
 

@@ -135,7 +135,7 @@ class Admission:
             names = ", ".join(self.simulators)
             return f"no simulator {simulator!r} here; there are {names}"[:MAX_TEXT]
         if pair not in self._hashes:
-            return f"no representation {representation!r} here"
+            return f"no representation {representation!r} here"[:MAX_TEXT]
         if self._hashes[pair] != asked.version_hash:
             return self._difference(pair, there)
         if asked.trial_memory_mb > self._slot_memory_mb:

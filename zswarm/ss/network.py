@@ -7,7 +7,7 @@ their link return to their leases. Zenoh's callbacks only put items into the inb
 import contextlib
 import os
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from functools import partial
 
@@ -15,7 +15,7 @@ import msgspec
 import structlog
 import zenoh
 
-from zswarm import session
+from zswarm import daemon, session
 from zswarm.errors import RemoteProtocolError, UnknownMessageError
 from zswarm.protocol import codec, keys, versions
 from zswarm.protocol.messages import MAX_TEXT, Refusal, Refused
@@ -28,22 +28,40 @@ from zswarm.system.text import clean
 
 ANSWER_S = 2.0  # for the optimizer to answer; zenoh keeps a kilobyte per query as long
 MAX_SENDERS = 256  # runs that have a thread for answers
-# Items, and bytes of queries among them; further queries are dropped unanswered.
-MAX_INBOX = 10_000
-MAX_INBOX_BYTES = 256 << 20
+# Items of peers, and bytes of their queries, that wait; further ones are dropped unanswered. And
+# how many of them may be one user's, or of no user: offers and malformed keys.
+MAX_INBOX, MAX_INBOX_BYTES = 10_000, 256 << 20
+SHARE, SHARE_BYTES = 2_500, 64 << 20
 
 log = structlog.get_logger()
 
 
 class PeerQuery:
-    """A query that waits for its answer."""
+    """A query that waits for its answer.
+
+    Attributes:
+        size: bytes of its payload.
+        refusal: why it is refused before it is decoded; "": it is not.
+    """
 
     def __init__(self, query: zenoh.Query) -> None:
         self._query = query
         self.key = str(query.key_expr)
-        self.body = query.payload.to_bytes() if query.payload is not None else b""
-        self.run = "malformed"  # user and run, once it is decoded
+        self.size = len(query.payload) if query.payload is not None else 0
+        self.user, self.refusal = "", ""
+        self.run = "malformed"  # user and run, whose thread answers
+        try:
+            key = keys.parse_server_key(self.key)
+            self.user, self.run = key.user, f"{key.user}/{key.run}"
+            codec.check_size(key.verb, self.size)
+        except RemoteProtocolError as error:
+            self.refusal = str(error)
         self.version = keys.CURRENT  # of the peer's protocol
+
+    def body(self) -> bytes:
+        """Return a copy of the payload."""
+        payload = self._query.payload
+        return payload.to_bytes() if payload is not None else b""
 
     def answer(self, body: bytes) -> None:
         """Answer, in a thread that may block; the peer may be gone."""
@@ -64,10 +82,20 @@ Item = PeerQuery | LocalQuery | Unheard | FullPipe | events.Event | int
 
 
 class Inbox:
-    """A queue from other threads and signals to the server's loop; readable when it has items."""
+    """Queues from other threads and signals to the server's loop; readable when it has items.
+
+    Each user has a queue of limited size, and users take turns: one who sends much delays the
+    others by one item each.
+    """
 
     def __init__(self) -> None:
-        self._items: deque[Item] = deque()
+        self._items: deque[Item] = deque()  # of this machine
+        self._users: dict[
+            str, deque[tuple[Item, int]]
+        ] = {}  # items and bytes; the next is first
+        self._waiting: Counter[str] = Counter()  # bytes by user
+        self._count = self._bytes = 0  # of all users
+        self._lock = threading.Lock()
         self._wake, self.woken = os.pipe()
         os.set_blocking(self._wake, False)
         os.set_blocking(self.woken, False)
@@ -77,11 +105,38 @@ class Inbox:
         return self._wake
 
     def __len__(self) -> int:
-        return len(self._items)
+        return len(self._items) + self._count
 
     def put(self, item: Item) -> None:
         """Append an item, and wake the loop."""
         self._items.append(item)
+        self._wake_loop()
+
+    def put_of(self, user: str, item: Item, size: int = 0) -> bool:
+        """Append an item of a peer, and wake the loop; return False if there is no room for it.
+
+        Args:
+            user: whose share it takes; "": that of all others.
+            size: in bytes.
+        """
+        with self._lock:
+            queue = self._users.get(user, deque())
+            if (
+                self._count >= MAX_INBOX
+                or len(queue) >= SHARE
+                or self._bytes + size > MAX_INBOX_BYTES
+                or self._waiting[user] + size > SHARE_BYTES
+            ):
+                return False
+            queue.append((item, size))
+            self._users[user] = queue
+            self._waiting[user] += size
+            self._bytes += size
+            self._count += 1
+        self._wake_loop()
+        return True
+
+    def _wake_loop(self) -> None:
         with contextlib.suppress(BlockingIOError):
             os.write(self.woken, b"!")
 
@@ -91,9 +146,28 @@ class Inbox:
             os.read(self._wake, 4096)
 
     def take(self) -> Iterator[Item]:
-        """Remove and yield the waiting items."""
-        for _ in range(len(self._items)):
-            yield self._items.popleft()
+        """Remove and yield waiting items: first those of this machine, then of users in turn."""
+        while True:
+            if self._items:
+                yield self._items.popleft()
+            elif self._count:
+                yield self._take_of_user()
+            else:
+                return
+
+    def _take_of_user(self) -> Item:
+        with self._lock:
+            user = next(iter(self._users))
+            queue = self._users.pop(user)
+            item, size = queue.popleft()
+            self._waiting[user] -= size
+            self._bytes -= size
+            self._count -= 1
+            if queue:
+                self._users[user] = queue  # behind the others
+            else:
+                del self._waiting[user]
+        return item
 
 
 class Presence(msgspec.Struct, eq=False):
@@ -109,14 +183,12 @@ class Presence(msgspec.Struct, eq=False):
     _tokens: list[zenoh.LivelinessToken] = []  # one for each version of the protocol
     _older: dict[str, str] = {}  # runs that speak an older version, and which
     _senders: dict[str, session.Sender] = {}
-    _waiting: int = 0  # bytes of queries in the inbox
-    _counting: threading.Lock = msgspec.field(default_factory=threading.Lock)  # of these
 
     def open(self, listen: list[str], reach: Reach, *, visible: bool) -> None:
         """Open the session; declare the liveliness token if the server is to be visible."""
         self._session, self.endpoints = session.open_server(listen, reach)
         if not self.private:
-            session.watch(self._session, self.endpoints, reach, "server")
+            daemon.watch(self._session, self.endpoints, reach, "server")
         refusals.watch_routers(reach.connect, reach.keyring)
         on_query = zenoh.handlers.Callback(self._on_query, indirect=False)
         on_run = zenoh.handlers.Callback(self._on_run, indirect=False)
@@ -144,19 +216,9 @@ class Presence(msgspec.Struct, eq=False):
         self._tokens.clear()
 
     def _on_query(self, query: zenoh.Query) -> None:
-        size = len(query.payload) if query.payload is not None else 0
-        with self._counting:
-            taken = self._waiting + size <= MAX_INBOX_BYTES
-            self._waiting += size * taken
-        if taken and len(self.inbox) < MAX_INBOX:
-            self.inbox.put(PeerQuery(query))
-        else:
-            query.drop()
-            self._count_taken(size * taken)
-
-    def _count_taken(self, size: int) -> None:
-        with self._counting:
-            self._waiting -= size
+        waiting = PeerQuery(query)
+        if not self.inbox.put_of(waiting.user, waiting, waiting.size):
+            waiting.drop()
 
     def _on_run(self, sample: zenoh.Sample) -> None:
         try:
@@ -164,15 +226,16 @@ class Presence(msgspec.Struct, eq=False):
         except RemoteProtocolError:
             return
         alive = sample.kind == zenoh.SampleKind.PUT
-        self.inbox.put(events.HolderAlive(user, run, alive))
+        self.inbox.put_of(user, events.HolderAlive(user, run, alive))
 
     # ---- queries and their answers
 
     def decode(self, query: PeerQuery) -> events.Asked | None:
         """Return the event of a query; answer one that is malformed."""
-        self._count_taken(len(query.body))
         try:
-            key, message = codec.decode_query(query.key, query.body)
+            if query.refusal:
+                raise RemoteProtocolError(query.refusal)
+            key, message = codec.decode_query(query.key, query.body())
         except RemoteProtocolError as error:
             self.malformed += 1
             if self.malformed & (self.malformed - 1) == 0:
@@ -181,9 +244,10 @@ class Presence(msgspec.Struct, eq=False):
                 log.warning("malformed", **fields, count=self.malformed)
             unknown = isinstance(error, UnknownMessageError)
             code: Refusal = "unsupported" if unknown else "malformed"
-            self.answer(query, codec.encode(Refused(code=code, reason=str(error))))
+            refused = Refused(code=code, reason=str(error)[:MAX_TEXT])
+            self.answer(query, codec.encode(refused))
             return None
-        query.run, query.version = f"{key.user}/{key.run}", key.version
+        query.version = key.version
         if key.version in versions.OLDER:
             self._older[query.run] = key.version
         return events.Asked(id(query), key.user, key.run, message)

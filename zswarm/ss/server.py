@@ -19,16 +19,16 @@ from collections.abc import Callable
 import msgspec
 import structlog
 
-from zswarm import session
+from zswarm import daemon
 from zswarm.errors import ConfigError
 from zswarm.protocol import codec, keys
 from zswarm.protocol.messages import Sensors
-from zswarm.security import refusals
+from zswarm.security import keyring, refusals
 from zswarm.session import Reach
 from zswarm.ss.admission import Admission, read
 from zswarm.ss.health import Health
 from zswarm.ss.local.control import Control, Draining, LocalQuery, LocalRequest
-from zswarm.ss.network import Inbox, PeerQuery, Presence
+from zswarm.ss.network import Inbox, Item, PeerQuery, Presence
 from zswarm.ss.options import AT_START, Options, offered
 from zswarm.ss.slots import events
 from zswarm.ss.slots.table import SlotTable
@@ -37,11 +37,13 @@ from zswarm.ss.workers.child import Here, SharedMemory
 from zswarm.ss.workers.output import LINE_WIDTH
 from zswarm.ss.workers.parent import Worker
 from zswarm.ss.workers.remote import CANCELLED, FullPipe, Questions, Unheard
+from zswarm.system import landlock
 from zswarm.system.systemd import Notify
 from zswarm.system.text import clean
 from zswarm.system.version import VERSION
 
 TICK_S = 0.25
+PASS_S = 0.1  # for the items of one pass of the loop
 RETURN_S = 5.0  # to the network, which a reload lost
 FINISH_S = 2.0  # for the last answers
 
@@ -105,6 +107,10 @@ class Server:
             self._open_local(stack)
             if not self._private:
                 refusals.watch_links()
+                if reason := landlock.why_not(keyring.folders()):
+                    log.warning(
+                        "keys_not_hidden", reason=f"slots can read them: {reason}"
+                    )
             stack.callback(self._presence.close)
             self._open(self.options, self._reach)
             log.info(
@@ -113,7 +119,7 @@ class Server:
                 capacity=len(self.workers),
                 realm=self.options.realm,
                 listen=self._presence.endpoints,
-                keys=session.keys_in_words(self._reach),
+                keys=daemon.keys_in_words(self._reach),
                 simulators=self._admission.simulators,
                 slot_memory_mb=self.workers[0].memory_mb,
                 program=VERSION,
@@ -127,7 +133,7 @@ class Server:
         """Return how the server is reached, with the keys that are installed now."""
         if self._private:
             return Reach(options.connect, options.multicast)
-        reach = session.daemon_reach(
+        reach = daemon.find_reach(
             "ss",
             options.connect,
             multicast=options.multicast,
@@ -189,6 +195,8 @@ class Server:
             self._health.look(time.monotonic(), new=bool(ready))
 
     def _timeout(self) -> float | None:
+        if self._inbox:
+            return 0.0
         until = min(
             self._drain_by,
             self._return_at,
@@ -208,28 +216,35 @@ class Server:
                 worker.start()
 
     def _take_inbox(self) -> None:
+        """Take waiting items, for a while: the rest after slots and the watchdog had their turn."""
+        until = time.monotonic() + PASS_S
         for item in self._inbox.take():
-            match item:
-                case PeerQuery():
-                    if (asked := self._presence.decode(item)) is not None:
-                        self._queries[asked.query] = item
-                        self._handle(asked)
-                case LocalQuery(request, answer):
-                    if answer.set_running_or_notify_cancel():  # else its client is gone
-                        answer.set_result(self._answer_local(request))
-                case Unheard():
-                    self._questions.unheard(item.question, time.monotonic())
-                case FullPipe():
-                    self.workers[item.slot].watch_pipe()
-                case signal.SIGHUP:
-                    self._reload()
-                case int():
-                    self._signals.append(item)
-                    self._drain()
-                case _:
-                    self._handle(item)
-                    if isinstance(item, events.HolderAlive) and not item.alive:
-                        self._presence.forget(f"{item.user}/{item.run}")
+            self._take_item(item)
+            if time.monotonic() >= until:
+                return
+
+    def _take_item(self, item: Item) -> None:
+        match item:
+            case PeerQuery():
+                if (asked := self._presence.decode(item)) is not None:
+                    self._queries[asked.query] = item
+                    self._handle(asked)
+            case LocalQuery(request, answer):
+                if answer.set_running_or_notify_cancel():  # else its client is gone
+                    answer.set_result(self._answer_local(request))
+            case Unheard():
+                self._questions.unheard(item.question, time.monotonic())
+            case FullPipe():
+                self.workers[item.slot].watch_pipe()
+            case signal.SIGHUP:
+                self._reload()
+            case int():
+                self._signals.append(item)
+                self._drain()
+            case _:
+                self._handle(item)
+                if isinstance(item, events.HolderAlive) and not item.alive:
+                    self._presence.forget(f"{item.user}/{item.run}")
 
     def _handle(self, event: events.Event) -> None:
         """Give an event to the slot table, and carry out its commands."""
@@ -363,7 +378,7 @@ class Server:
             log.info(
                 "reloaded",
                 listen=self._presence.endpoints,
-                keys=session.keys_in_words(reach),
+                keys=daemon.keys_in_words(reach),
             )
         self._health.ready()
 

@@ -36,7 +36,7 @@ def hide(paths: Iterable[Path]) -> bool:
     hidden = {path for path in there if not _is_shared(path)}
     if not hidden:
         return not there
-    if sys.platform != "linux" or _call(CREATE_RULESET, None, 0, VERSION) < OLDEST:
+    if not supported():
         return False
     attributes = struct.pack("=Q", READ_FILE | REFER)
     rules = _call(CREATE_RULESET, attributes, len(attributes), 0)
@@ -50,6 +50,21 @@ def hide(paths: Iterable[Path]) -> bool:
         return _call(RESTRICT_SELF, rules, 0) == 0 and hidden == there
     finally:
         os.close(rules)
+
+
+def why_not(paths: Iterable[Path]) -> str:
+    """Return why ``hide`` cannot hide folders; "" if it can, or there are none."""
+    there = [path.resolve() for path in paths if path.exists()]
+    if there and not supported():
+        return "this kernel has no Landlock: Linux 5.19 or newer has"
+    if shared := [path for path in there if _is_shared(path)]:
+        return f"everyone may write in a folder above {shared[0]}"
+    return ""
+
+
+def supported() -> bool:
+    """Return whether this kernel has Landlock, as new as is needed."""
+    return sys.platform == "linux" and _call(CREATE_RULESET, None, 0, VERSION) >= OLDEST
 
 
 def _is_shared(path: Path) -> bool:

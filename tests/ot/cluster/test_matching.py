@@ -31,13 +31,16 @@ def test_options_of_an_experiment_become_terms() -> None:
         experiment.load(experiment.find("minisim"), OPTIONS), "test"
     )
     simulator = Problem(complete).simulator
+    program = matching.RunProgram(3, b"secret")
     made = matching.terms(
-        complete, complete.cluster, simulator, epoch=3, slots=5, probe=b"probe"
+        complete, complete.cluster, simulator, program, slots=5, probe=b"probe"
     )
     again = matching.terms(
-        complete, complete.cluster, simulator, epoch=3, slots=5, probe=b"probe"
+        complete, complete.cluster, simulator, program, slots=5, probe=b"probe"
     )
     reserve, problem = made.reserve, complete.problem
+    assert made.secret == b"secret"
+    assert b"secret" not in codec.encode(reserve)
     assert reserve.nonce != again.reserve.nonce
     assert (reserve.epoch, reserve.slots, reserve.asks) == (3, 5, "agent")
     assert (reserve.trial_timeout_s, reserve.trial_memory_mb) == (7.5, 512)

@@ -21,6 +21,7 @@ from zswarm.ot.notes import Note
 from zswarm.ot.record import database as database_module
 from zswarm.ot.record.folder import load_experiment
 from zswarm.ot.record.history_hash import History
+from zswarm.ot.record.opening import SECRET
 from zswarm.ot.record.statements import CANDIDATES_AT_ONCE
 from zswarm.ot.record.writer import Record
 from zswarm.ot.workload import Workload
@@ -99,6 +100,23 @@ def test_the_folder_holds_the_complete_experiment(
     record: Record, complete: experiment.Experiment
 ) -> None:
     assert load_experiment(record.folder) == complete
+
+
+def test_a_resume_has_the_secret_of_the_run_and_an_older_record_gets_one(
+    record: Record,
+) -> None:
+    secret = record.meta("secret")
+    record.close()
+    with Record.open(record.folder)[0] as resumed:
+        assert resumed.meta("secret") == secret
+        assert len(secret) == SECRET
+        for damaged in (None, "text", b"short"):
+            resumed.set_meta("secret", damaged)
+    with Record.open(record.folder)[0] as older:
+        found = older.meta("secret")
+        assert isinstance(found, bytes)
+        assert len(found) == SECRET
+        assert found != secret
 
 
 def test_every_resume_raises_the_epoch(record: Record) -> None:
@@ -555,7 +573,7 @@ def test_a_record_is_created_completely_or_not_at_all(
 
     monkeypatch.setattr(Path, "replace", replacing)
     with Record.create(tmp_path, complete, "hash") as record:
-        assert seen == [10]
+        assert seen == [11]
         assert sorted(path.name for path in record.folder.glob("*.part")) == []
 
 

@@ -130,6 +130,7 @@ def reserve(
     slots: int = 100,
     simulator: str = "minisim",
     memory_mb: int = 0,
+    proof: bytes = b"",
 ) -> Reserve:
     return Reserve(
         nonce=nonce.to_bytes(16, "big"),
@@ -140,6 +141,7 @@ def reserve(
         version_hash="",
         trial_timeout_s=TIMEOUT_S,
         trial_memory_mb=memory_mb,
+        proof=proof,
     )
 
 

@@ -34,7 +34,7 @@ ANSWERS: dict[
     type[messages.Request], tuple[tuple[type[messages.Reply], ...], set[str]]
 ] = {
     messages.Requirements: ((Offer,), set()),
-    Reserve: ((Lease,), {"superseded", "draining", "mismatch"}),
+    Reserve: ((Lease,), {"superseded", "busy", "draining", "mismatch"}),
     messages.Renew: ((Lease,), {"lease-lost"}),
     Evaluate: (
         (Outcomes, Running, Fault),
@@ -192,6 +192,7 @@ class Server:
         message = Reserve(
             nonce=bytes([draw([0, 0, 0, 1])] * 16),
             epoch=draw([0] * 9 + [1, 2]),
+            proof=draw([b"", b"ours", b"ours", b"ours", b"theirs"]),
             slots=draw([1, 2, 100]),
             simulator=Part(draw(["a", "a", "a", "b", "unknown"]), {}),
             representation=Part("n", {}),

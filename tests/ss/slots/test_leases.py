@@ -14,6 +14,7 @@ from tests.ss.slots.table_server import (
     run,
     running_one,
 )
+from zswarm.protocol import messages
 from zswarm.protocol.messages import (
     PROBE_TRIALS,
     Cancel,
@@ -24,8 +25,9 @@ from zswarm.protocol.messages import (
     Renew,
     Requirements,
 )
-from zswarm.ss.slots import leases
+from zswarm.ss.slots import leases, table
 from zswarm.ss.slots.events import (
+    Asked,
     Died,
     Event,
     HolderAlive,
@@ -477,12 +479,123 @@ def test_epochs_of_different_runs_and_users_are_independent() -> None:
 
 
 def test_the_oldest_epochs_are_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(leases, "MAX_EPOCHS", 2)
+    monkeypatch.setattr(leases, "MAX_ENDED", 2)
     server = Server()
     for name in ("a", "b", "a", "c"):
         server.ask(Release(lease=server.reserve(name, epoch=9).lease), name)
     assert code(server.asked(reserve(epoch=8), "a")) == "superseded"
+    server.reserve("d")
+    assert code(server.asked(reserve(epoch=8), "c")) == "superseded"
     assert isinstance(server.asked(reserve(epoch=8), "b"), Lease)
+
+
+def test_an_epoch_is_forgotten_a_while_after_the_last_lease_ended() -> None:
+    server = Server()
+    server.ask(Release(lease=server.reserve(epoch=9).lease))
+    server.now += leases.REMEMBER_S
+    assert code(server.asked(reserve(epoch=8))) == "superseded"
+    server.now += 1.0
+    assert isinstance(server.asked(reserve(epoch=8)), Lease)
+
+
+def test_an_epoch_that_no_resumes_reach_is_refused() -> None:
+    server = Server()
+    lease = server.reserve(nonce=1, epoch=3)
+    far = reserve(nonce=2, epoch=4 + leases.MAX_JUMP)
+    assert code(server.asked(far)) == "malformed"
+    assert server.reserve(nonce=1, epoch=3) == lease
+    server.ask(Release(lease=lease.lease))
+    assert code(server.asked(far)) == "malformed"
+    server.reserve(nonce=3, epoch=3 + leases.MAX_JUMP)
+
+
+# ---- proofs -----------------------------------------------------------------------------
+
+OURS, THEIRS, NONE = b"ours", b"theirs", b""
+
+
+@pytest.mark.parametrize("stranger", [THEIRS, NONE])
+@pytest.mark.parametrize("epoch", [0, 1, 900, messages.MAX_EPOCH])
+def test_a_lease_is_taken_over_only_with_its_proof(stranger: bytes, epoch: int) -> None:
+    """And a program that holds one is ended by no other, whatever it did before or since."""
+    server = Server()
+    lease = server.reserve(nonce=1, epoch=1, proof=OURS)
+    attack = reserve(nonce=9, epoch=epoch, proof=stranger)
+    assert code(server.asked(attack)) == "busy"
+    assert server.reserve(nonce=1, epoch=1, proof=OURS) == lease
+    resumed = server.reserve(nonce=2, epoch=2, proof=OURS)
+    assert resumed.lease != lease.lease
+    server.ask(Release(lease=resumed.lease))
+    taken = server.asked(attack)  # its name is free
+    assert isinstance(taken, Lease)
+    assert code(server.asked(reserve(nonce=3, epoch=2, proof=OURS))) != "superseded"
+    server.ask(Release(lease=taken.lease))
+    server.reserve(nonce=3, epoch=2, proof=OURS)
+
+
+def test_a_stranger_who_has_the_name_first_ends_no_run() -> None:
+    """``superseded`` would end it: it is told ``busy``, and uses other servers."""
+    for stranger in (THEIRS, NONE):
+        server = Server()
+        server.reserve(nonce=9, epoch=900, proof=stranger)
+        assert code(server.asked(reserve(nonce=1, epoch=1, proof=OURS))) == "busy"
+
+
+def test_the_lease_of_an_older_program_is_taken_over_by_the_epoch() -> None:
+    server = Server()
+    server.reserve(nonce=1, epoch=1)
+    assert isinstance(server.asked(reserve(nonce=2, epoch=2, proof=OURS)), Lease)
+    assert code(server.asked(reserve(nonce=1, epoch=1))) == "busy"
+
+
+def test_an_outdated_program_of_the_run_is_superseded() -> None:
+    server = Server()
+    server.reserve(nonce=2, epoch=2, proof=OURS)
+    for epoch in (1, 2):
+        old = reserve(nonce=1, epoch=epoch, proof=OURS)
+        assert code(server.asked(old)) == "superseded"
+
+
+# ---- limits -----------------------------------------------------------------------------
+
+
+def test_a_user_has_a_limited_number_of_leases(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leases, "MAX_LEASES_OF_USER", 3)
+    server = Server()
+    held = [server.reserve(name) for name in "abc"]
+    assert code(server.asked(reserve(), "d")) == "busy"
+    assert server.reserve("b") == held[1]
+    assert server.reserve("a", nonce=2, epoch=1).lease != held[0].lease, "taken over"
+    server.open.add(99)
+    server.feed(Asked(99, "other", "run", reserve(slots=1)))
+    assert isinstance(server.answers[99], Lease)
+    server.ask(Release(lease=held[2].lease), "c")
+    assert isinstance(server.asked(reserve(), "d"), Lease)
+
+
+def test_a_server_has_a_limited_number_of_leases(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(leases, "MAX_LEASES", 2)
+    server = Server()
+    server.reserve("a")
+    server.reserve("b")
+    assert code(server.asked(reserve(), "c")) == "busy"
+
+
+def test_the_oldest_of_too_many_renewals_is_answered_at_once() -> None:
+    server = Server()
+    lease = server.ready()
+    renew = Renew(lease=lease, known_ready=2)
+    queries = [server.ask(renew) for _ in range(table.MAX_RENEWALS + 2)]
+    assert set(queries) & set(server.answers) == set(queries[:2])
+
+
+def test_the_same_nonce_changes_the_slots_and_nothing_that_was_checked() -> None:
+    """Else settings beyond a server's limits would reach its slots."""
+    server = Server()
+    server.reserve(nonce=1, slots=1)
+    server.reserve(nonce=1, slots=2, simulator="unchecked")
+    lease = server.slots.leases["user", "a"]
+    assert lease.reserve == reserve(nonce=1, slots=2)
 
 
 # ---- renewals ---------------------------------------------------------------------------

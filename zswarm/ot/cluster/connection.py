@@ -8,6 +8,7 @@ import atexit
 import contextlib
 import functools
 import getpass
+import secrets
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Self
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from zswarm.ot.cluster.machines import Known
+    from zswarm.ot.cluster.matching import RunProgram
     from zswarm.ot.cluster.shell import Cluster, Item
     from zswarm.ot.evaluator import CandidateEvaluator, CandidateOutcomes
     from zswarm.ot.problem import Problem
@@ -167,14 +169,14 @@ class Connection:
         slots: int,
         say: Callable[[str], None],
         stop: threading.Event,
-        epoch: int = 0,
+        program: "RunProgram | None" = None,
         probe: bytes = b"",
         known: "Known | None" = None,
     ) -> "Iterator[Cluster]":
         """Hold leases of all servers that match a problem, within a ``with`` block.
 
         Args:
-            run, epoch: how servers know the holder of the leases.
+            run, program: how servers know the holder of the leases.
             slots: wanted at most, on every server.
             say: takes lines for the user.
             stop: ends an evaluation when it is set.
@@ -182,7 +184,7 @@ class Connection:
             known: what earlier programs of the run found out about machines.
         """
         from zswarm.ot.cluster.machines import Known
-        from zswarm.ot.cluster.matching import terms
+        from zswarm.ot.cluster.matching import RunProgram, terms
         from zswarm.ot.cluster.remote_controllers import RemoteControllers
         from zswarm.ot.cluster.shell import Cluster
         from zswarm.ot.cluster.watch import Watch
@@ -191,10 +193,11 @@ class Connection:
         options, reach, local = self.options, self.reach, self.local
         experiment, simulator = problem.experiment, problem.simulator
         user = reach.keyring.name if reach.keyring else keys.fold(getpass.getuser())
+        program = program or RunProgram(0, secrets.token_bytes(16))
         known = known or Known()
         known = structs.replace(known, banned={**self.banned, **known.banned})
-        run_of: Any = {"epoch": epoch, "slots": slots, "probe": probe, "known": known}
-        asked = terms(experiment, options, simulator, **run_of)
+        run_of: Any = {"slots": slots, "probe": probe, "known": known}
+        asked = terms(experiment, options, simulator, program, **run_of)
         controllers = None
         if asked.reserve.asks:
             controllers = RemoteControllers(

@@ -33,11 +33,19 @@ class Choice(NamedTuple):
         return labels.place(self.rank, offer.labels)
 
 
+class RunProgram(NamedTuple):
+    """How servers know one of the programs of a run."""
+
+    epoch: int  # how often the run was resumed
+    secret: bytes  # of the run
+
+
 class Terms(msgspec.Struct, frozen=True, kw_only=True):
     """What a run asks of servers, and how it uses them."""
 
     requirements: Requirements
     reserve: Reserve  # with the number of slots wanted on every server
+    secret: bytes = b""  # of the run; b"": its leases can be taken over by others
     choice: Choice = Choice()
     participants: int = 1  # of a trial
     metrics: int = 0  # of a trial
@@ -74,8 +82,8 @@ def terms(
     complete: Experiment,
     options: ClusterConfig,
     simulator: "Simulator",
+    program: RunProgram,
     *,
-    epoch: int,
     slots: int,
     probe: bytes,
     known: Known = Known(),  # noqa: B008  frozen
@@ -85,7 +93,7 @@ def terms(
     asked = requirements(complete, options)
     reserve = Reserve(
         nonce=secrets.token_bytes(16),
-        epoch=epoch,
+        epoch=program.epoch,
         slots=min(slots, MAX_SLOTS),
         simulator=Part(problem.simulator, problem.settings),
         representation=Part(representation.kind, representation.settings),
@@ -97,6 +105,7 @@ def terms(
     return Terms(
         requirements=asked,
         reserve=reserve,
+        secret=program.secret,
         choice=choice(options),
         participants=simulator.participants,
         metrics=len(simulator.metrics),

@@ -19,7 +19,16 @@ from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import MOVES, Phase, RemoteServer, Standing
 from zswarm.ot.cluster.roster import Roster
 from zswarm.ot.notes import RunEvent
-from zswarm.protocol.messages import Lease, Offer, Refused, Release, Renew, Reply, Verb
+from zswarm.protocol.messages import (
+    Lease,
+    Offer,
+    Refused,
+    Release,
+    Renew,
+    Reply,
+    Verb,
+    proof,
+)
 
 # A third of the lease time; only the reply to a renewal has the current number of slots.
 RENEW_S = 20.0
@@ -170,7 +179,8 @@ class Servers(msgspec.Struct, eq=False):
             case Phase.SEEN:
                 question = self.out.ask(server.id, terms.requirements)
             case Phase.RESERVING | Phase.LEASED if server.growing or not server.lease:
-                reserve = structs.replace(terms.reserve, slots=server.wanted)
+                fields = {"slots": server.wanted, "proof": proof(terms.secret, server.id)}
+                reserve = structs.replace(terms.reserve, **fields)
                 question = self.out.ask(server.id, reserve)
             case Phase.LEASED:
                 renew = Renew(lease=server.lease, known_ready=server.ready)

@@ -27,6 +27,7 @@ from zswarm.ot.record.statements import SET_META
 from zswarm.system.files import sync
 from zswarm.system.version import VERSION
 
+SECRET = 16  # bytes, by which servers tell the run's programs from others
 # These may change while a run is stopped.
 NOT_DECISIVE = ("generations", "assessment", "cluster", "record", "study")
 
@@ -43,6 +44,7 @@ def new_meta(
         "version_hash": version_hash,
         "experiment": decisive(complete),
         "epoch": 0,
+        "secret": secrets.token_bytes(SECRET),
         "created_at": time.time(),
         "machine": machine(),
         **({} if metrics is None else {"metrics": json.dumps(list(metrics))}),
@@ -110,8 +112,14 @@ def raise_epoch(
         The new table ``meta``.
     """
     finished = connection.execute("SELECT count(*) FROM generations").fetchone()[0]
-    now = {**meta, "epoch": int(meta["epoch"]) + 1}
-    changes: list[Statement] = [(SET_META, ("epoch", now["epoch"]))]
+    secret = meta.get("secret")
+    if not isinstance(secret, bytes) or len(secret) != SECRET:  # older records have none
+        secret = secrets.token_bytes(SECRET)
+    now = {**meta, "epoch": int(meta["epoch"]) + 1, "secret": secret}
+    changes: list[Statement] = [
+        (SET_META, ("epoch", now["epoch"])),
+        (SET_META, ("secret", secret)),
+    ]
     if finished < complete.generations:
         for key in OF_THE_END:
             now.pop(key, None)

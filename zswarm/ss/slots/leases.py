@@ -19,10 +19,15 @@ the same lease, which is how a program resumes a lease after its link was cut. `
 often the run was resumed: ``zswarm-ot resume`` raises it in the record. So the slots of a run that
 another program resumes are taken over, and the first program, if it still lives, is refused with
 ``superseded`` when it reserves again, and ends (docs/protocol.md, "Life of a lease").
+
+``proof`` shows that a program has the run's secret, which its record holds. Only who shows the
+proof of a lease takes it over, or ends the program that holds it; a lease of an older program,
+which has no proof, is taken over by the epoch alone.
 """
 
 from collections import OrderedDict
 from collections.abc import Callable
+from typing import NamedTuple
 
 from zswarm.protocol.messages import MAX_TEXT, PROBE_DIGEST, Refusal, Reserve
 from zswarm.ss.slots.events import (
@@ -37,8 +42,22 @@ from zswarm.ss.slots.reply_cache import ReplyCache
 from zswarm.ss.slots.sharing import Sharing
 from zswarm.ss.slots.state import HeldLease, KnownProbe, Slot, problem_key
 
-MAX_EPOCHS = 10_000  # runs whose highest epoch is remembered
+MAX_ENDED = 10_000  # runs whose last lease is remembered
+REMEMBER_S = 600.0  # after a run's last lease ended
+MAX_JUMP = (
+    1_000  # of an epoch: more resumes than there can be while a server remembers a run
+)
+MAX_LEASES = 1_000
+MAX_LEASES_OF_USER = 64
 MAX_PROBES = 1_000  # problems whose probe is remembered
+
+
+class Ended(NamedTuple):
+    """The last lease of a run that has none now."""
+
+    proof: bytes
+    epoch: int
+    at: float
 
 
 class LeaseTable(dict[tuple[str, str], HeldLease]):
@@ -53,26 +72,48 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
         self._out, self._new_token = out, new_token
         # By problem, as long as the server runs; those used last at the end.
         self._probes: OrderedDict[bytes, KnownProbe] = OrderedDict()
-        self._epochs: OrderedDict[tuple[str, str], int] = OrderedDict()
+        self._ended: OrderedDict[tuple[str, str], Ended] = (
+            OrderedDict()
+        )  # the oldest first
 
-    def outdated(self, user: str, run: str, epoch: int) -> str:
-        """Return why a run may not reserve with this epoch, or ""."""
-        highest = self._epochs.get((user, run), -1)
-        if epoch > highest or (epoch == highest and (user, run) not in self):
-            return ""
-        if epoch == highest:
-            return f"another program holds the lease of epoch {epoch}"
-        return (
-            f"the run was taken over: its epoch is {highest}, not {epoch}; if no other program "
-            "evolves it, this is an older copy of its record: resume it again"
-        )
+    def refusal(
+        self, user: str, run: str, reserve: Reserve
+    ) -> tuple[Refusal, str] | None:
+        """Return why a run may not have a new lease, or None."""
+        self._forget()
+        lease, ended = self.get((user, run)), self._ended.get((user, run))
+        if lease is None:
+            if refusal := self._full(user):
+                return refusal
+            if ended is None or ended.proof != reserve.proof:
+                return None
+            return _outdated(ended.epoch, reserve.epoch, held=False)
+        held = lease.reserve
+        if held.proof == reserve.proof:
+            return _outdated(held.epoch, reserve.epoch, held=True)
+        if held.proof or _outdated(held.epoch, reserve.epoch, held=True):
+            return "busy", "a program that does not know this run's secret has its name"
+        return None
+
+    def _full(self, user: str) -> tuple[Refusal, str] | None:
+        own = sum(lease.user == user for lease in self.values())
+        if own >= MAX_LEASES_OF_USER:
+            return "busy", f"{user} has {own} leases here, as many as one user may"
+        if len(self) >= MAX_LEASES:
+            return "busy", f"there are {len(self)} leases here, as many as there may be"
+        return None
+
+    def _forget(self) -> None:
+        """Forget the runs whose last lease ended long ago, or before too many others."""
+        while self._ended:
+            oldest = next(iter(self._ended.values()))
+            if len(self._ended) <= MAX_ENDED and self._out.now - oldest.at <= REMEMBER_S:
+                break
+            self._ended.popitem(last=False)
 
     def grant(self, user: str, run: str, reserve: Reserve) -> HeldLease:
         """Add a lease, in the place of the previous lease of the run if there is one."""
-        self._epochs[user, run] = reserve.epoch
-        self._epochs.move_to_end((user, run))
-        while len(self._epochs) > MAX_EPOCHS:
-            self._epochs.popitem(last=False)
+        self._ended.pop((user, run), None)
         previous = self.get((user, run))
         now, token = self._out.now, self._new_token()
         jobs = JobQueue(self._out, self.replies, token)
@@ -86,6 +127,8 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
     def end(self, lease: HeldLease, how: str) -> None:
         """End a lease, and refuse all of its queries."""
         del self[lease.user, lease.run]
+        proof, epoch = lease.reserve.proof, lease.reserve.epoch
+        self._ended[lease.user, lease.run] = Ended(proof, epoch, self._out.now)
         self._close(lease, how)
 
     def _close(self, lease: HeldLease, how: str) -> None:
@@ -231,3 +274,18 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
                 lease.lent += lease.idle_since is not None
                 taken.append(slot)
         return taken
+
+
+def _outdated(highest: int, epoch: int, *, held: bool) -> tuple[Refusal, str] | None:
+    """Return why a run whose highest epoch is known may not reserve with another one, or None."""
+    if epoch > highest + MAX_JUMP:
+        text = f"the epoch {epoch} is not one that resumes reach after {highest}"
+        return "malformed", text
+    if epoch > highest or (epoch == highest and not held):
+        return None
+    if epoch == highest:
+        return "superseded", f"another program holds the lease of epoch {epoch}"
+    return "superseded", (
+        f"the run was taken over: its epoch is {highest}, not {epoch}; if no other program "
+        "evolves it, this is an older copy of its record: resume it again"
+    )

@@ -28,6 +28,7 @@ from zswarm.ss.slots.leases import LeaseTable
 from zswarm.ss.slots.state import HeldLease, Renewal, Slot, SlotState
 
 HOLD_RENEWAL_S = 10.0
+MAX_RENEWALS = 4  # of a lease, that are held: the latest; a run has one open
 # When slots are idle for longer, outcomes are reported before their batch is done. The end of a
 # trial that is shorter than SHORT_S is awaited first: the rest would come a round trip later.
 IDLE_S, SHORT_S = 0.01, 0.1
@@ -165,9 +166,12 @@ class SlotTable:
         if lease is not None and lease.reserve.nonce == message.nonce:
             lease.renew(out.now)
             if message.slots != lease.reserve.slots:
-                lease.reserve, lease.wanted = message, message.slots
-        elif reason := self.leases.outdated(user, run, message.epoch):
-            return out.refuse(query, "superseded", reason)
+                # The rest was checked when the lease was granted.
+                fields = {"slots": message.slots}
+                lease.reserve = msgspec.structs.replace(lease.reserve, **fields)
+                lease.wanted = message.slots
+        elif refusal := self.leases.refusal(user, run, message):
+            return out.refuse(query, *refusal)
         elif self.draining:
             return out.refuse(query, "draining", "the server is draining")
         elif mismatch := self._mismatch(message):
@@ -350,11 +354,12 @@ class SlotTable:
             lease.unreported_since = self._out.now
 
     def _answer_renewals(self, lease: HeldLease) -> None:
-        """Answer renewals with an outdated number of ready slots, and those held for long."""
+        """Answer renewals with an outdated number of ready slots, those held for long, and more."""
         renewals, lease.renewals = lease.renewals, []
-        for renewal in renewals:
+        for later, renewal in zip(range(len(renewals))[::-1], renewals, strict=True):
             known = renewal.known_ready == lease.ready() and not lease.failure
-            held = known and not self._drained and not lease.got_on(self._out.now)
+            held = known and not self._drained and later < MAX_RENEWALS
+            held = held and not lease.got_on(self._out.now)
             if held and self._out.now - renewal.since <= HOLD_RENEWAL_S:
                 lease.renewals.append(renewal)
             else:

@@ -116,7 +116,7 @@ def main(
     _cut_off_copies(pipe, progress)
     _redirect(output)
     memory.go_first()
-    landlock.hide({keyring.SYSTEM, keyring.of_user(), keyring.find() or keyring.SYSTEM})
+    landlock.hide(keyring.folders())
     # Every child inherits the pipe that keeps the fork server alive: it must end with the server.
     os.close(multiprocessing.forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]  # private
     for number in (signal.SIGINT, signal.SIGTERM):
