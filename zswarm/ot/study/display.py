@@ -203,22 +203,18 @@ def _described(ended: RunEnded) -> str:
 
 def _show(outcome: StudyOutcome) -> None:
     """Print the table of settings, the failed runs, and what can be done next."""
-    table = tables.table(
-        "setting", ">runs", ">q25", ">median", ">q75", ">best", ">held-out", ">evaluated"
-    )
+    assessed = any(summary.held_out is not None for summary in outcome.settings)
+    held_out = [">held-out"] if assessed else []
+    columns = (">runs", ">q25", ">median", ">q75", ">best", *held_out, ">evaluated")
+    table = tables.table("setting", *columns)
     for summary in outcome.settings:
         label = summary.label or (
             "unchanged" if len(outcome.settings) > 1 else "all runs"
         )
         spread = summary.fitness
-        values = (
-            spread.q25,
-            spread.median,
-            spread.q75,
-            spread.best,
-            summary.held_out,
-        )
-        numbers = ("" if value is None else f"{value:.6g}" for value in values)
+        values = [spread.q25, spread.median, spread.q75, spread.best]
+        values += [summary.held_out] if assessed else []
+        numbers = ("" if value is None else f"{value:.5g}" for value in values)
         tables.row(table, label, summary.runs, *numbers, summary.evaluations)
     tables.show(table)
     for ended in outcome.failed:
