@@ -200,9 +200,8 @@ class Connection:
         asked = terms(experiment, options, simulator, program, **run_of)
         controllers = None
         if asked.reserve.asks:
-            controllers = RemoteControllers(
-                problem.representation, simulator.participants
-            )
+            participants = simulator.participants
+            controllers = RemoteControllers(problem.representation, participants)
         name = experiment.problem.simulator
         check = functools.partial(self._check, stop)
         watch = Watch(options, name, local, hinted=self._hinted, say=say, check=check)

@@ -19,16 +19,8 @@ from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import MOVES, Phase, RemoteServer, Standing
 from zswarm.ot.cluster.roster import Roster
 from zswarm.ot.notes import RunEvent
-from zswarm.protocol.messages import (
-    Lease,
-    Offer,
-    Refused,
-    Release,
-    Renew,
-    Reply,
-    Verb,
-    proof,
-)
+from zswarm.protocol import messages
+from zswarm.protocol.messages import Lease, Offer, Refused, Release, Renew, Reply, Verb
 
 # A third of the lease time; only the reply to a renewal has the current number of slots.
 RENEW_S = 20.0
@@ -50,9 +42,8 @@ class Servers(msgspec.Struct, eq=False):
     # Whose phase, slots or pause changed, by id: the caller revisits their batches.
     changed: dict[str, RemoteServer] = {}
     leaving: dict[str, RemoteServer] = {}  # those in the phase LEAVING
-    forgotten: list[
-        str
-    ] = []  # those that are not known any more; the caller takes them out
+    # Those that are not known any more; the caller takes them out.
+    forgotten: list[str] = []
     probe: bytes = b""  # digest of the probe's outcomes, once known
     differing: list[RemoteServer] = []  # with another digest; the caller takes them out
     roster: Roster = msgspec.field(default_factory=Roster)
@@ -179,7 +170,8 @@ class Servers(msgspec.Struct, eq=False):
             case Phase.SEEN:
                 question = self.out.ask(server.id, terms.requirements)
             case Phase.RESERVING | Phase.LEASED if server.growing or not server.lease:
-                fields = {"slots": server.wanted, "proof": proof(terms.secret, server.id)}
+                mine = messages.proof(terms.secret, server.id)
+                fields = {"slots": server.wanted, "proof": mine}
                 reserve = structs.replace(terms.reserve, **fields)
                 question = self.out.ask(server.id, reserve)
             case Phase.LEASED:
