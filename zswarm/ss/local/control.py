@@ -109,9 +109,11 @@ class Control:
             self._serve, sock=self._socket, limit=MAX_REQUEST
         )
         await self._closing.wait()
-        server.close()
+        # Not ``server.close``: a client that was just accepted could not attach to a closed server.
+        self._loop.remove_reader(self._socket.fileno())
         for _ in range(ACCEPTED):
             await asyncio.sleep(0)
+        server.close()
 
     async def _serve(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
