@@ -43,9 +43,11 @@ session:            errors protocol security system
 daemon:             BASE security session
 router:             BASE daemon security session
 api:                errors experiment ot ot.analysis ot.cluster ot.record ot.study
-ot:                 BASE controller evaluate experiment kernels ot.cluster ot.commands.shared
-                    ot.display ot.optimizers ot.rankings ot.record ot.study plugins probe protocol
+ot:                 BASE controller evaluate experiment kernels ot.assessment ot.cluster
+                    ot.commands.shared ot.display ot.optimizers ot.rankings ot.record ot.study
+                    plugins probe protocol
 ot.analysis:        BASE experiment ot.record
+ot.assessment:      BASE controller experiment kernels ot.problem ot.record ot.workload
 ot.cluster:         BASE experiment nets ot.evaluator ot.notes ot.problem ot.workload plugins
                     protocol security session sims
 ot.commands:        BASE controller experiment kernels ot.build ot.evolution ot.analysis
@@ -55,10 +57,10 @@ ot.commands.shared: BASE controller evaluate experiment ot.evolution ot.logger o
                     ot.analysis ot.cluster ot.record ot.study plugins protocol robots security
                     session
 ot.dashboard:       BASE controller experiment ot.notes ot.analysis ot.record plugins
-ot.display:         BASE ot.logger
+ot.display:         BASE controller ot.logger
 ot.doctor:          BASE kernels ot.cluster ot.record plugins protocol security session
-ot.estimate:        BASE evaluate experiment ot.build ot.notes ot.problem ot.cluster ot.optimizers
-                    ot.rankings ot.record plugins sims
+ot.estimate:        BASE evaluate experiment ot.build ot.notes ot.problem ot.assessment ot.cluster
+                    ot.optimizers ot.rankings ot.record plugins sims
 ot.optimizers:      BASE kernels nets
 ot.rankings:        BASE
 ot.record:          BASE controller experiment ot.logger ot.notes ot.workload ot.cluster
@@ -108,6 +110,7 @@ ONLY_IN = {
     **dict.fromkeys("pickle marshal shelve".split(), ""),
 }
 PURE = """
+ot.assessment.interval ot.assessment.ocba ot.assessment.race
 ot.generation ot.notes ot.workload ot.estimate.cost_model ot.study.plan ot.dashboard.servers
 ot.cluster.batches ot.cluster.dispatch ot.cluster.events ot.cluster.queue
 ot.cluster.remote_server ot.cluster.servers ot.cluster.verification

@@ -18,7 +18,9 @@ from zswarm.kernels.sums import mean, total
 
 PACKAGE = REPOSITORY / "zswarm"
 # Where genomes, actions, outcomes, scores and statistics are computed.
-ROOMS = "kernels nets sims ot/optimizers ot/rankings ros/simulation ros/launch testing".split()
+ROOMS = (
+    "kernels nets sims ot/assessment ot/optimizers ot/rankings ros/simulation ros/launch testing"
+).split()
 FILES = [
     *(PACKAGE / name for name in ("evaluate.py", "ot/generation.py", "ot/workload.py")),
     *(file for room in ROOMS for file in sorted((PACKAGE / room).rglob("*.py"))),

@@ -20,6 +20,25 @@ CHAMPION = "champion.zsc"
 MOST = 1_000_000  # numbers that an agent observes, or sets: a file with more is not a controller
 
 
+class HeldOut(msgspec.Struct, frozen=True, kw_only=True):
+    """A champion's fitness on held-out seeds, which evolution never uses, and in search.
+
+    All numbers are those of a candidate's fitness, the sum over an experiment's trials.
+
+    Attributes:
+        mean: the expected fitness, estimated from ``seeds`` trials.
+        low, high: the 95 % interval of ``mean``; NaN if one trial or none was played.
+        seeds: trials on held-out seeds that did not fail.
+        in_search: the best fitness that the search told its optimizer for the champion.
+    """
+
+    mean: float | None
+    low: float | None
+    high: float | None
+    seeds: int
+    in_search: float
+
+
 class Controller(
     msgspec.Struct, frozen=True, kw_only=True, tag="zswarm-controller", tag_field="format"
 ):
@@ -35,8 +54,9 @@ class Controller(
     sensors: list[str]
     actuators: list[str]
     genome: bytes
-    fitness: float
+    fitness: float  # in search
     run: str
+    held_out: HeldOut | None = None  # once the run's last generation is assessed
 
     def network(self) -> tuple["Representation", np.ndarray]:
         """Return the network, and the (P,) float32 parameters for its ``step``.

@@ -27,6 +27,7 @@ from zswarm.config.decode import convert, read
 from zswarm.config.sections import (
     ABSOLUTE,
     MAX_RUNS,
+    AssessmentConfig,
     ClusterConfig,
     PartConfig,
     PartKind,
@@ -59,6 +60,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True):
     representation: PartConfig
     optimizer: PartConfig
     ranking: PartConfig = PartConfig(kind=ABSOLUTE, settings={})
+    assessment: AssessmentConfig = AssessmentConfig()
     cluster: ClusterConfig
     record: RecordConfig = RecordConfig()
     study: StudyConfig = StudyConfig()
@@ -85,6 +87,7 @@ class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     representation: dict[str, Any]
     optimizer: dict[str, Any]
     ranking: dict[str, Any] = {}
+    assessment: AssessmentConfig = AssessmentConfig()
     cluster: ClusterConfig = ClusterConfig()
     record: RecordConfig = RecordConfig()
     study: StudyConfig = StudyConfig()
@@ -95,6 +98,7 @@ TABLES: dict[str, type[msgspec.Struct]] = {
     "representation": PartKind,
     "optimizer": PartKind,
     "ranking": RankingKind,
+    "assessment": AssessmentConfig,
     "cluster": ClusterConfig,
     "record": RecordConfig,
     "study": StudyConfig,

@@ -19,6 +19,7 @@ kind = "nnga"
 population = 50
 """
 TRIALS = (50 + 3 * 37) * 20
+ASSESSED = TRIALS // 10  # more, at the end
 COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 
 

@@ -6,13 +6,14 @@ from pathlib import Path
 import pytest
 
 from tests.integration import evacuation
-from tests.integration.evacuation import COUNTED, TRIALS
+from tests.integration.evacuation import ASSESSED, COUNTED, TRIALS
 from tests.integration.programs import Optimizer, Server, free_port, query, wait_until
 from tests.promise.promise import check_run
 
 STEPS = 3_000  # a run takes some seconds: long enough to disturb it
 # The history hash of the experiment when nothing happens to it, made once
 ALONE = "06dfe0697ef18594f74083ec6d9b129f"
+ASSESSED_ALONE = "7dadee9ed7efb64b5e925efb78bd7016"
 
 
 def run(folder: Path, name: str, *options: str) -> Optimizer:
@@ -66,6 +67,7 @@ def test_killed_and_late_servers_do_not_change_the_history(tmp_path: Path) -> No
             program.close()
     shares = dict(query(record, "SELECT server, trials FROM servers"))
     assert done["history_hash"] == ALONE
+    assert done["assessment_hash"] == ASSESSED_ALONE
     assert done["requeued"] > 0
     assert query(
         record, "SELECT sum(count) > 0 FROM events WHERE event = 'requeued'"
@@ -73,7 +75,7 @@ def test_killed_and_late_servers_do_not_change_the_history(tmp_path: Path) -> No
     assert (
         sum(trials for server, trials in shares.items() if server.startswith("late-")) > 0
     )
-    assert sum(shares.values()) == TRIALS
+    assert sum(shares.values()) == TRIALS + ASSESSED
     assert check_run(record).history_hash == ALONE
 
 
@@ -93,9 +95,31 @@ def test_a_killed_optimizer_resumes_and_repeats_nothing(tmp_path: Path) -> None:
         server.close()
     assert done["history_hash"] == ALONE
     assert 1200 < before < TRIALS
-    assert counted(tmp_path) == TRIALS, "a recorded trial was evaluated again"
+    assert counted(tmp_path) == TRIALS + ASSESSED, "a recorded trial was evaluated again"
     assert len(taken_over) == 1, "the slots were not taken over at once"
     assert check_run(tmp_path / "runs" / "disturbed").history_hash == ALONE
+
+
+def test_an_optimizer_killed_in_the_assessment_resumes_there(tmp_path: Path) -> None:
+    """Another number of slots, and a kill, change neither its hash nor its champion."""
+    servers = [Server(tmp_path, f"ss-{number}", capacity=1) for number in range(2)]
+    try:
+        killed = run(tmp_path, "killed", *remote(*servers))
+        wait_until(lambda: counted(tmp_path) > TRIALS, "the assessment is under way")
+        killed.kill()
+        killed.wait()
+        before = counted(tmp_path)
+        again = ["resume", "runs/disturbed", "--json", *remote(servers[0])]
+        done = Optimizer(tmp_path, "resumed", again).done()
+    finally:
+        for server in servers:
+            server.close()
+    assert TRIALS < before < TRIALS + ASSESSED, "the run is over too early for this test"
+    assert counted(tmp_path) == TRIALS + ASSESSED, "a recorded trial was evaluated again"
+    assert done["history_hash"] == ALONE
+    assert done["assessment_hash"] == ASSESSED_ALONE
+    assert done["champion"]["seeds"] == ASSESSED // 4
+    check_run(tmp_path / "runs" / "disturbed")
 
 
 @pytest.mark.parametrize(
@@ -116,7 +140,7 @@ def test_a_stopped_optimizer_prints_how_to_resume(
     arguments = ["resume", "runs/disturbed", "--json", "--servers", "local"]
     done = Optimizer(tmp_path, "resumed", arguments, picture=True).done()
     assert done["history_hash"] == ALONE
-    assert counted(tmp_path) == TRIALS
+    assert counted(tmp_path) == TRIALS + ASSESSED
     assert check_run(tmp_path / "runs" / "disturbed").history_hash == ALONE
     assert (tmp_path / "runs" / "disturbed" / "fitness.png").is_file()
 

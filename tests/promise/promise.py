@@ -25,6 +25,7 @@ import numpy as np
 
 from zswarm import evaluate
 
+ASSESSMENT = 1_000_000_000  # in place of a generation
 NAN = struct.pack("<d", math.nan)
 SERVER = re.compile(r"[a-z0-9][a-z0-9-]{0,62}")
 
@@ -121,6 +122,10 @@ class _Check:
             ):
                 self.players[generation, trial] = game
         self.relative = "relative" in self.meta
+        fresh = self.experiment["problem"].get("seeds") == "fresh"
+        self.merges = fresh and not self.relative
+        # Generations, mean fitness and mean measures of the genomes of the last generation.
+        self.seen: dict[bytes, tuple[int, float, list[float]]] = {}
         self.events = database.execute(
             "SELECT generation, event, server, count, at FROM events ORDER BY rowid"
         ).fetchall()
@@ -197,7 +202,7 @@ class _Check:
         ) in self.rows:
             where = f"outcomes {id_}"
             self.claim(
-                0 <= generation <= ended,
+                0 <= generation <= ended or generation == ASSESSMENT,
                 f"{where}: of generation {generation}, while {ended} are finished",
             )
             self.claim(
@@ -289,7 +294,8 @@ class _Check:
         counted: dict[int, list[int]] = {}
         for generation, trial in self.outcomes:
             counted.setdefault(generation, []).append(trial)
-        best_yet = -math.inf
+        self.check_assessment(sorted(counted.pop(ASSESSMENT, [])))
+        best_yet, champion = -math.inf, b""
         for generation, best, evaluations, at in self.generations:
             where, candidates = f"generation {generation}", self.candidates[generation]
             self.claim(
@@ -317,7 +323,9 @@ class _Check:
                 self.asked[generation] == digest,
                 f"{where}: its genomes are not those that were evaluated",
             )
-            best_yet = -math.inf if self.relative else best_yet
+            again = self.merges and champion in [genome for genome, _ in candidates]
+            best_yet = -math.inf if self.relative or again else best_yet
+            seen: dict[bytes, tuple[int, float, list[float]]] = {}
             played: dict[int, list[int]] = {
                 candidate: [] for candidate in range(len(candidates))
             }
@@ -330,21 +338,30 @@ class _Check:
                 for candidate in players:
                     played[candidate].append(trial)
             self.check_games(where, generation, trials)
-            for candidate, (_, fitness) in enumerate(candidates):
-                self.check_measures(where, generation, candidate, played[candidate])
+            for candidate, (genome, fitness) in enumerate(candidates):
+                count, before, measures = self.seen.get(genome, (0, 0.0, []))
+                measures = self.check_measures(
+                    where, generation, candidate, played[candidate], count, measures
+                )
                 if self.relative:
                     best_yet = max(best_yet, -math.inf if fitness is None else fitness)
                     continue
                 total = 0.0
                 for trial in played[candidate]:
                     total += struct.unpack("<d", self.outcomes[generation, trial][:8])[0]
+                if count:
+                    total = (before * count + total) / (count + 1)
+                if self.merges:
+                    seen[genome] = count + 1, total, measures
                 told = math.nan if fitness is None else fitness
                 self.claim(
                     bits(told) == bits(total),
                     f"{where}: candidate {candidate} was told as {told!r}, but the sum of its "
                     f"trials is {total!r}",
                 )
-                best_yet = max(best_yet, -math.inf if math.isnan(told) else told)
+                if told > best_yet:
+                    best_yet, champion = told, genome
+            self.seen = seen
             if best_yet > -math.inf:
                 self.claim(
                     best == best_yet,
@@ -364,17 +381,38 @@ class _Check:
                 f"{where}: trial {trial} is of other players than its game",
             )
 
+    def check_assessment(self, trials: list[int]) -> None:
+        """Check that no trial of the assessment is missing before another one."""
+        self.claim(
+            trials == list(range(len(trials))), "trials of the assessment are missing"
+        )
+        assessed = "assessment" in self.meta
+        self.claim(not assessed or len(trials) >= 30, "an assessment without its trials")
+        self.claim(
+            not assessed or json.loads(self.meta["assessment"])["seeds"] > 0,
+            "an assessment without held-out seeds",
+        )
+
     def check_measures(
-        self, where: str, generation: int, candidate: int, trials: list[int]
-    ) -> None:
-        """Check that measures are means of the metrics that the optimizer names."""
+        self,
+        where: str,
+        generation: int,
+        candidate: int,
+        trials: list[int],
+        count: int,
+        before: list[float],
+    ) -> list[float]:
+        """Check that measures are means of the metrics that the optimizer names; return them.
+
+        With fresh seeds they are those over ``count`` generations before, too.
+        """
         named = self.experiment["optimizer"].get("measures", [])
         told = self.measures[generation][candidate]
         self.claim(
             len(told) == 8 * len(named),
             f"{where}: candidate {candidate} has {len(told)} bytes of measures",
         )
-        names = json.loads(self.meta.get("metrics", "[]"))
+        names, found = json.loads(self.meta.get("metrics", "[]")), []
         for column, name in enumerate(named):
             total = 0.0
             for trial in trials:
@@ -383,11 +421,15 @@ class _Check:
                     self.outcomes[generation, trial],
                     8 * (self.each + names.index(name)),
                 )[0]
+            mean = total / len(trials) if trials else math.nan
+            if count:
+                mean = (before[column] * count + mean) / (count + 1)
+            found.append(mean)
             self.claim(
-                told[8 * column : 8 * column + 8]
-                == bits(total / len(trials) if trials else math.nan),
+                told[8 * column : 8 * column + 8] == bits(mean),
                 f"{where}: candidate {candidate}'s {name} is not the mean of its trials",
             )
+        return found
 
     def check_events(self) -> None:
         """Check that events and the epoch are consistent."""

@@ -32,7 +32,8 @@ class ProblemConfig(
     seeds: Annotated[
         Literal["fixed", "fresh"],
         about(
-            "seeds of the trials: the same for the whole run, or new in each generation"
+            "seeds of the trials: the same for the whole run, or new in each generation, where "
+            "what survives is evaluated again ([noise.md](noise.md#fresh-seeds))"
         ),
     ] = "fixed"
     settings: Annotated[
@@ -178,6 +179,25 @@ class ClusterConfig(
             raise ValueError(
                 f"trial_memory_mb: expected 0 or at least {MIN_MEMORY_MB}, not {memory}"
             )
+
+
+class AssessmentConfig(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
+    """``[assessment]``: which candidate of the whole run is the champion. Search is as without."""
+
+    budget: Annotated[
+        Literal["auto"] | Annotated[float, Meta(ge=0, le=10)],
+        about(
+            "simulations after the last generation, as a share of those of the run "
+            '([noise.md](noise.md)). "auto": 0.1 if trials differ; 0: none, the champion is the '
+            "best in search"
+        ),
+    ] = "auto"
+    candidates: Annotated[
+        int,
+        within(1, 1000, "the best distinct candidates of the whole run that are raced"),
+    ] = 20
 
 
 class RecordConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -181,7 +181,7 @@ def not_compiled() -> int:
     from zswarm.kernels import compiler  # which imports numba
 
     functions = [declared.py_func for declared in _kernels]
-    return sum(not compiler.is_cached(function) for function in functions)
+    return len([each for each in functions if not compiler.is_cached(each)])
 
 
 @contextlib.contextmanager

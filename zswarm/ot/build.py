@@ -7,6 +7,7 @@ from zswarm.config.decode import convert
 from zswarm.errors import ConfigError, ZswarmError
 from zswarm.experiment import Experiment
 from zswarm.kernels.random import derive_seed
+from zswarm.ot.assessment import contest
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.problem import Problem
 from zswarm.plugins import registry
@@ -51,11 +52,14 @@ def build(complete: Experiment) -> Parts:
             "genomes again"
         )
     optimizer.relative = problem.ranking.relative
+    if complete.problem.seeds == "fresh" and not optimizer.relative:
+        optimizer.use_fresh_seeds()
     if optimizer.candidates is not None and optimizer.candidates < simulator.participants:
         raise ConfigError(
             f"optimizer: {kind} asks for {optimizer.candidates} candidates, but a game of {name} "
             f"takes {simulator.participants}"
         )
+    contest.check(problem, optimizer.candidates)
     return Parts(problem, optimizer)
 
 

@@ -61,6 +61,7 @@ class Assessment:
 
     def _begin(self, games: np.ndarray | None) -> None:
         workload = self._problem.workload(self.genomes, self.generation, games=games)
+        workload.generation = self.generation
         workload.round = len(self._workloads)
         workload.first = int(sum(len(earlier.seeds) for earlier in self._workloads))
         self._workloads.append(workload)

@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from zswarm.controller import Controller
+from msgspec import structs
+
+from zswarm.controller import Controller, HeldOut
 from zswarm.experiment import Experiment
 from zswarm.ot.notes import Note
 
@@ -51,6 +53,14 @@ class Result(NamedTuple):
     # Best is a score of the last generation, and compares only within it.
     relative: bool = False
     history_version: int = 0  # of the history hash: others do not compare
+    champion: HeldOut | None = None  # fitness on held-out seeds, if it was assessed
+    # 32 hex digits: of the history and the assessment after it.
+    assessment_hash: str = ""
+
+    def as_object(self) -> dict[str, Any]:
+        """Return what is reported to programs."""
+        champion = None if self.champion is None else structs.asdict(self.champion)
+        return {**self._asdict(), "champion": champion}
 
 
 class Logger:
@@ -63,13 +73,19 @@ class Logger:
         """Called with a line for people."""
 
     def on_progress(self, generation: int, counted: int, trials: int) -> None:
-        """Called several times a second with the finished trials of a generation."""
+        """Called several times a second with the finished trials of a generation.
+
+        During the assessment, ``generation`` is the number of all generations.
+        """
 
     def on_generation(self, generation: Generation) -> None:
         """Called when a generation ended and is recorded."""
 
     def on_champion(self, champion: Controller) -> None:
-        """Called for a better controller; for each generation's, if scores do not compare."""
+        """Called for a better controller; for each generation's, if scores do not compare.
+
+        After the assessment it is called for the champion, which then has ``held_out``.
+        """
 
     def on_event(self, event: Note) -> None:
         """Called for each event, as in the table ``events`` of the record."""

@@ -6,6 +6,9 @@ from collections.abc import Callable, Generator, Iterator
 
 from msgspec import structs
 
+from zswarm.config.decode import to_json
+from zswarm.controller import HeldOut
+from zswarm.ot.assessment.contest import Contest
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.events import Counted, Retracted
@@ -18,8 +21,10 @@ from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.notes import Note, RunEvent, words
 from zswarm.ot.record.history_hash import VERSION as HISTORY_VERSION
 from zswarm.ot.record.packing import PackedState
+from zswarm.ot.record.schema import ASSESSMENT
 from zswarm.ot.record.writer import Record
 from zswarm.ot.retelling import retell, timed
+from zswarm.ot.seen_seeds import SeenSeeds
 from zswarm.ot.workload import Workload
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import messages
@@ -60,17 +65,19 @@ def evolve(
         taken_over=record.taken_over,
     )
     with leased as cluster:
-        notebook.follow(connection.wait(cluster))
+        for early in connection.wait(cluster):
+            notebook.take(early)
         if first < last:
             assessment = notebook.begin(first)
             items = cluster.evaluate(assessment.workload)
         for generation in range(first, last):
-            notebook.follow(items, assessment)
+            notebook.follow(items, assessment.workload)
             while assessment.advance():
                 record.begin(generation, assessment.workload)
                 if generation == first:
                     record.restore(assessment.workload)
-                notebook.follow(cluster.evaluate(assessment.workload), assessment)
+                items = cluster.evaluate(assessment.workload)
+                notebook.follow(items, assessment.workload)
             ended = assessment
             state = notebook.tell(ended)
             if generation + 1 < last:
@@ -81,8 +88,7 @@ def evolve(
             obey(cluster)
             if generation + 1 < last:
                 record.begin(generation + 1, assessment.workload)
-        record.end()
-        notebook.follow(cluster.rest())
+        notebook.end(cluster, obey)
     return notebook.result(time.monotonic() - begin)
 
 
@@ -93,6 +99,8 @@ class _Notebook:
         self._problem, self._optimizer = parts
         self._record, self._logger = record, logger
         record.say = logger.on_say
+        self._held_out: HeldOut | None = None  # fitness of the champion
+        self._hash = ""  # of the assessment
         self.run_id: str = record.meta("run_id")
         self.probe: bytes = record.meta("probe") or b""
 
@@ -121,6 +129,8 @@ class _Notebook:
         if resumed.generation and optimizer.best()[0]:
             self._keep_champion()  # the program may have ended before it was written
         self._improved = optimizer.best()[1]
+        if optimizer.fresh:
+            self._seen = SeenSeeds.of_record(record)
         self._candidates = record.evaluations()
         now = here(complete, resumed.generation)
         record.note(Note(RunEvent.BEGAN, text=now.text, count=record.meta("epoch")))
@@ -156,16 +166,16 @@ class _Notebook:
         record.restore(assessment.workload)
         return assessment
 
-    def follow(
-        self, items: Iterator[Item | None], assessment: Assessment | None = None
-    ) -> None:
-        """Record what happens to the end; outcomes belong to the generation."""
+    def follow(self, items: Iterator[Item | None], work: Workload) -> None:
+        """Record what happens until a round of games is evaluated."""
         for item in items:
-            self.take(item, assessment)
+            self.take(item, work)
+            counted = work.first + int(work.counted.sum())
+            trials = work.first + len(work.seeds)
+            self._logger.on_progress(work.generation, counted, trials)
 
-    def take(self, item: Item | None, assessment: Assessment | None = None) -> None:
-        """Record what happened; outcomes belong to the generation."""
-        work: Workload | None = assessment.workload if assessment is not None else None
+    def take(self, item: Item | None, work: Workload | None = None) -> None:
+        """Record what happened; outcomes are of this workload."""
         match item:
             case Counted() if work is not None:
                 self._record.add(item, work)
@@ -180,10 +190,6 @@ class _Notebook:
                     self._logger.on_say(line)
             case None:
                 self._record.flush()
-        if assessment is not None and work is not None:
-            counted = work.first + int(work.counted.sum())
-            trials = work.first + len(work.seeds)
-            self._logger.on_progress(assessment.generation, counted, trials)
 
     def _arbitrated(self, digest: bytes) -> None:
         """Record what this machine computed of the probe: a resume does not decide again."""
@@ -198,8 +204,13 @@ class _Notebook:
 
     def tell(self, ended: Assessment) -> PackedState:
         """Tell the optimizer a generation, and return its state before the next ask."""
-        self._fitness = ended.fitness()
-        self._measures = ended.measures(self._optimizer.measures)
+        self._fitness, self._measures = (
+            ended.fitness(),
+            ended.measures(self._optimizer.measures),
+        )
+        if self._optimizer.fresh:
+            told = self._seen.merge(ended.genomes, self._fitness, self._measures)
+            self._fitness, self._measures = told
         self._optimizer.tell(self._fitness, self._measures)
         state = self._optimizer.state()
         return self._record.pack(ended.generation, ended.genomes, state)
@@ -213,8 +224,10 @@ class _Notebook:
         statistics = optimizer.statistics()
         record.finish(ended.generation, genomes, fitness, statistics, state, measures)
         genome, best = optimizer.best()
-        # Scores of two generations do not compare: the latest champion counts.
-        if best > self._improved or (optimizer.relative and genome):
+        # Scores of two generations do not compare, and fresh seeds may show that the former best
+        # was lucky: the latest champion counts.
+        outdated = optimizer.fresh and best != self._improved
+        if best > self._improved or (genome and (optimizer.relative or outdated)):
             self._improved = best
             self._keep_champion(log=True)
         if standing.probe not in (b"", self.probe):  # or it was wrong, or of fewer trials
@@ -233,6 +246,37 @@ class _Notebook:
         self._logger.on_generation(generation)
         return generation
 
+    def end(self, cluster: Cluster, obey: Callable[[Cluster], None]) -> None:
+        """Assess the candidates of the run, if there is something to assess; take what is late."""
+        if (contest := Contest.of_run(self._problem, self._record)) is not None:
+            self._assess(contest, cluster, obey)
+        self._record.end()
+        for late in cluster.rest():
+            self.take(late)
+
+    def _assess(
+        self, contest: Contest, cluster: Cluster, obey: Callable[[Cluster], None]
+    ) -> None:
+        """Race the best candidates on held-out seeds; the winner becomes the champion."""
+        record, problem = self._record, self._problem
+        record.begin_assessment(contest.plan)
+        while (work := contest.workload()) is not None:
+            record.begin(ASSESSMENT, work)
+            record.restore(work)
+            self.follow(cluster.evaluate(work), work)
+            contest.take(work)
+            obey(cluster)
+        if (found := contest.champion()) is None:
+            return
+        genome, self._held_out = found
+        self._hash = contest.hash(record.history().value)
+        champion = problem.controller(genome, self._held_out.in_search, self.run_id)
+        champion = structs.replace(champion, held_out=self._held_out)
+        record.champion(champion)
+        record.set_meta("assessment", to_json(structs.asdict(self._held_out)))
+        record.set_meta("assessment_hash", self._hash)
+        self._logger.on_champion(champion)
+
     def result(self, seconds: float) -> Result:
         """Record the end of the run."""
         record, history = self._record, self._record.history().hex()
@@ -245,6 +289,8 @@ class _Notebook:
             history_hash=history,
             seconds=round(seconds, 3),
             relative=self._optimizer.relative,
+            champion=self._held_out,
+            assessment_hash=self._hash,
             history_version=HISTORY_VERSION,
             **record.counts(),
         )

@@ -12,6 +12,7 @@ class Workload:
         metrics: numbers of a trial besides fitness.
 
     Attributes:
+        generation: for whose evaluation it is; that after the last one for the assessment.
         round, first: which round of its generation, and the index of its first trial there.
         source: the server that a trial was counted for.
     """
@@ -24,7 +25,7 @@ class Workload:
         metrics: int,
     ) -> None:
         trials = len(seeds)
-        self.round = self.first = 0
+        self.generation = self.round = self.first = 0
         self.genomes, self.participants, self.seeds = genomes, participants, seeds
         self.fitness = np.full(participants.shape, np.nan)
         self.metrics = np.full((trials, metrics), np.nan)

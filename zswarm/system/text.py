@@ -1,6 +1,8 @@
 """Make text from other machines and programs safe to show."""
 
+import html
 import unicodedata
+from collections.abc import Mapping
 from typing import Any
 
 MAX_LENGTH = 500  # characters
@@ -38,3 +40,13 @@ def clean_all(value: Any, levels: int = NESTED) -> Any:
 def _escaped(character: str) -> str:
     unsafe = unicodedata.category(character) in UNSAFE
     return f"\\x{ord(character):02x}" if unsafe else character
+
+
+def html_table(rows: Mapping[str, str]) -> str:
+    """Return a table of two columns, whose texts are escaped."""
+    left = "style='text-align:left'"
+    cells = "".join(
+        f"<tr><th {left}>{html.escape(key)}</th><td {left}>{html.escape(value)}</td></tr>"
+        for key, value in rows.items()
+    )
+    return f"<table>{cells}</table>"

@@ -37,6 +37,7 @@ def check_optimizer(
     - An ask makes at most ``candidates`` genomes and changes neither ``best`` nor ``statistics``.
     - NaN fitness does no harm, and equal fitness does not end the search.
     - ``best`` is the best genome told, and improves, or the measures reach further.
+    - With fresh seeds state and restore continue in the same way.
     - With ``competes`` all this holds for relative fitness, too.
 
     Args:
@@ -55,11 +56,13 @@ def check_optimizer(
     if "measures" in settings_type.__struct_fields__:
         given = {"measures": ["first", "second"], **given}
 
-    def new(seed: int = 1, *, relative: bool = False) -> Optimizer:
+    def new(seed: int = 1, *, relative: bool = False, fresh: bool = False) -> Optimizer:
         optimizer = optimizer_class(
             convert(given, settings_type, "settings"), toy.network, seed
         )
         optimizer.relative = relative
+        if fresh:
+            optimizer.use_fresh_seeds()
         return optimizer
 
     with checking(optimizer_class.__name__):
@@ -71,6 +74,8 @@ def check_optimizer(
         _check_nan(new(), toy)
         _check_equal_fitness(new())
         _check_improvement(new(), toy, generations)
+        with checking(", fresh"):
+            _check_repeats(partial(new, fresh=True), toy)
         if optimizer_class.competes:
             with checking(", relative"):
                 _check_repeats(partial(new, relative=True), toy)

@@ -35,7 +35,7 @@ def compared(groups: Mapping[str, Sequence[Run]]) -> Comparison:
 
 def test_a_row_has_median_and_quartiles_of_the_runs() -> None:
     (row,) = comparison.of_series({"a": ended([4, 1, 2, 3, 5])}, "generations").rows
-    assert row == ("a", 5, 3.0, 2.0, 4.0, 5.0, 1.0, 50.0, 1.0)
+    assert row == ("a", 5, 3.0, 2.0, 4.0, 5.0, 1.0, 50.0, 1.0, None)
 
 
 def test_runs_of_unequal_length_are_compared_at_the_shortest_length() -> None:

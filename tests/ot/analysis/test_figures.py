@@ -317,7 +317,8 @@ def test_compare_as_csv_is_the_table(study: Path) -> None:
     said = invoke("compare", study, "--csv", "-").splitlines()
     assert (
         said[0]
-        == '"group","runs","median","q25","q75","best","worst","evaluations","seconds"'
+        == '"group","runs","median","q25","q75","best","worst","evaluations","seconds",'
+        '"held_out"'
     )
     assert said[1].startswith('"hidden 1",4,1.1875,1.09375,1.28125,1.375,1.0,6.0,')
 

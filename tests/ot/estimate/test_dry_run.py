@@ -70,6 +70,23 @@ def test_the_evaluations_are_counted_as_the_optimizer_asks_for_them(islands: int
     assert (told.evaluations, told.simulations) == (asked, 2 * asked)
 
 
+@pytest.mark.parametrize(
+    ("name", "overrides", "assessed"),
+    [
+        ("minisim", [], 1863),
+        ("minisim", ["assessment.budget=0.5"], 9315),
+        ("minisim", ["assessment.budget=0"], 0),
+        ("minisim", ["generations=2", "problem.trials=2"], 0),  # less than a race takes
+        ("stadium", [], 0),  # its trials do not differ
+        ("minisim-duel", [], 0),
+    ],
+)
+def test_the_simulations_of_the_assessment_are_counted(
+    name: str, overrides: list[str], assessed: int
+) -> None:
+    assert explained(name, *overrides).assessment_simulations == assessed
+
+
 def test_more_slots_than_trials_of_a_generation_make_nothing_faster() -> None:
     told = explained("stadium", "cluster.local_slots=1000")
     assert told.seconds == pytest.approx(200 * told.trial_s), (

@@ -24,6 +24,7 @@ GENERATIONS = 5
 def loaded(genomes: str) -> experiment.Experiment:
     overrides = [f"generations={GENERATIONS}", "optimizer.population=8"]
     more = ["representation.hidden=1", f"record.genomes={genomes}"]
+    more.append("assessment.candidates=3")
     found = experiment.load(experiment.find("stadium"), [*overrides, *more])
     return experiment.complete(found, "test")
 
@@ -69,7 +70,8 @@ def test_only_some_genomes_are_kept_and_the_history_is_the_same(
     record = Record.open(folder)[0]
     with record:
         record.resumed()
-        needed = set(record._known.values())
+        needed = set(record._known.values()) | record._raced.places()
+        assert len(record._raced.places()) == 3
     for number, there in enumerate(kept(folder)):
         rows = Run(everything).candidates(number)
         best = max(rows, key=lambda row: (row["fitness"], -row["candidate"]))["candidate"]

@@ -150,6 +150,7 @@ def test_json_is_strict_and_complete(
         "q25": 1.5,
         "q75": 2.5,
         "best": 3.0,
+        "held_out": None,
         "evaluations": 800,
     }
     assert done["settings"][1]["q25"] is None

@@ -45,6 +45,8 @@ class Row(NamedTuple):
     worst: float | None
     evaluations: float  # per run up to that point, the median
     seconds: float  # likewise
+    # Median of the champions' means on held-out seeds; None: no run was assessed.
+    held_out: float | None
 
 
 class Pair(NamedTuple):
@@ -97,7 +99,7 @@ def of_series(groups: Groups, by: By, notes: Sequence[str] = ()) -> Comparison:
     ends = {float(curves.positions(run, axis)[-1]) for run in runs}
     at = min(ends)
     samples = {group: _sample(members, axis, at) for group, members in started.items()}
-    rows = [_row(group, sample) for group, sample in samples.items()]
+    rows = [_row(group, sample, started[group]) for group, sample in samples.items()]
     pairs, kruskal_p, untested = _test(
         {name: sample.best for name, sample in samples.items()}
     )
@@ -172,9 +174,11 @@ def _sample(runs: Sequence[Series], axis: curves.Axis, at: float) -> _Sample:
     return _Sample(*np.array(found).T)
 
 
-def _row(group: str, sample: _Sample) -> Row:
+def _row(group: str, sample: _Sample, runs: Sequence[Series]) -> Row:
     spent = float(np.median(sample.evaluations)), float(np.median(sample.seconds))
-    return Row(group, len(sample.best), *curves.spread(sample.best), *spent)
+    means = [run.held_out[0] for run in runs if run.held_out is not None]
+    held_out = float(np.median(means)) if means else None
+    return Row(group, len(sample.best), *curves.spread(sample.best), *spent, held_out)
 
 
 def _notes(

@@ -24,6 +24,8 @@ class Series(NamedTuple):
     mean: np.ndarray  # of the generation; NaN if every candidate failed
     evaluations: np.ndarray  # of the run so far
     seconds: np.ndarray  # of computing since the run's start
+    # Mean of the champion on held-out seeds, and its 95 % interval.
+    held_out: tuple[float, float, float] | None = None
     relative: bool = False  # fitness is a score, and best is that of the generation
 
 
@@ -55,8 +57,19 @@ def series(run: "Run") -> Series:
     # Negative where the clock was set back.
     seconds = np.nan_to_num(column("seconds", 0.0), posinf=0.0).clip(0.0)
     evaluations = np.maximum.accumulate(column("evaluations", 0.0))
+    found, held_out = run.held_out, None
+    if found is not None and found.mean is not None:
+        low, high = (
+            found.mean if end is None else end for end in (found.low, found.high)
+        )
+        held_out = found.mean, low, high
     return Series(
-        best, column("mean", np.nan), evaluations, np.cumsum(seconds), run.relative
+        best,
+        column("mean", np.nan),
+        evaluations,
+        np.cumsum(seconds),
+        held_out,
+        run.relative,
     )
 
 

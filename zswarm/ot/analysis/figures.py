@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
+import numpy as np
+
 from zswarm.errors import ConfigError
 from zswarm.ot.analysis import comparison, curves, drawing
 from zswarm.ot.analysis.comparison import Comparison
@@ -171,11 +173,16 @@ def _either(words: Sequence[str]) -> str:
 
 def _of_one(run: Series, best: Curve, axis: Axis) -> list[CurveLine]:
     x, mean = curves.envelope(curves.positions(run, axis), run.mean)
-    top = "best of the generation" if run.relative else "best so far"
-    return [
+    top = "best of the generation" if run.relative else "best in search"
+    lines = [
         CurveLine(top, best.x, best.median),
         CurveLine("population mean", x, mean, noisy=True),
     ]
+    if run.held_out is not None and len(best.x):
+        ends = best.x[[0, -1]]
+        level, low, high = (np.full(2, value) for value in run.held_out)
+        lines.append(CurveLine("champion, held-out", ends, level, (low, high)))
+    return lines
 
 
 def _line(curve: Curve, *, alone: bool) -> CurveLine:

@@ -166,8 +166,8 @@ class Servers(msgspec.Struct, eq=False):
             case Phase.SEEN:
                 question = self.out.ask(server.id, terms.requirements)
             case Phase.RESERVING | Phase.LEASED if server.growing or not server.lease:
-                proof = messages.proof(terms.secret, server.id)
-                fields = {"slots": server.wanted, "proof": proof}
+                mine = messages.proof(terms.secret, server.id)
+                fields = {"slots": server.wanted, "proof": mine}
                 reserve = structs.replace(terms.reserve, **fields)
                 question = self.out.ask(server.id, reserve)
             case Phase.LEASED:

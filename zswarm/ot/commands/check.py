@@ -129,7 +129,10 @@ def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
         "optimizer",
         f"{e.optimizer}: {first:,} candidates in the first generation{then}",
     )
-    yield "work", f"{e.evaluations:,} evaluations, {e.simulations:,} simulations"
+    work = f"{e.evaluations:,} evaluations, {e.simulations:,} simulations"
+    if e.assessment_simulations:
+        work += f", and {e.assessment_simulations:,} to assess the champion"
+    yield "work", work
     yield (
         "time",
         f"a simulation takes about {duration(e.trial_s)} here; all of them {duration(e.seconds)} "

@@ -65,6 +65,7 @@ def show(found: "Comparison") -> None:
         ">quartiles",
         ">best",
         ">worst",
+        ">held-out",
         ">evaluations/run",
         ">time",
     )
@@ -72,16 +73,18 @@ def show(found: "Comparison") -> None:
     for row in found.rows:
         quartiles = f"{_number(row.q25)} / {_number(row.q75)}"
         values = (_number(row.median), quartiles, _number(row.best), _number(row.worst))
+        held_out = "" if row.held_out is None else _number(row.held_out)
         costs = (f"{row.evaluations:.0f}", duration(row.seconds))
-        tables.row(table, row.group, row.runs, *values, *costs)
+        tables.row(table, row.group, row.runs, *values, held_out, *costs)
     tables.show(table)
     for note in found.notes:
         tables.paragraph(note)
     unit = found.by if found.at != 1 else found.by.removesuffix("s")
     tables.paragraph(
-        f"Fitness is the best of each run after {found.at:.0f} {unit}; higher is better. Half of a "
-        "group's runs are above the median, and half lie between the quartiles. Evaluations and "
-        "time are the medians of its runs."
+        f"Fitness is the best of each run in search after {found.at:.0f} {unit}; higher is better. "
+        "Half of a group's runs are above the median, and half lie between the quartiles. Held-out "
+        "is what the champions of finished runs do on seeds that search did not use; it, "
+        "evaluations and time are the medians of its runs."
     )
     if len(found.rows) > 1:
         tables.line("")

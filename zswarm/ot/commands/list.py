@@ -67,17 +67,21 @@ def _show_parts(found: Sequence[CatalogEntry]) -> None:
 
 def _show_runs(runs: list[dict[str, Any]]) -> None:
     table = tables.table(
-        "run", ">generations", ">best", "last at (local time)", "history"
+        "run", ">generations", ">best", ">held-out", "last at (local time)", "history"
     )
     for row in runs:
         if "error" in row:
-            tables.row(table, row["run"], "", "", "", row["error"])
+            tables.row(table, row["run"], "", "", "", "", row["error"])
             continue
         at = row["finished_at"]
         at = time.strftime("%Y-%m-%d %H:%M", time.localtime(at)) if at else ""
-        best = "" if row["best"] is None else f"{row['best']:.6g}"
+        champion = row["champion"] or {"mean": None}
+        best, held_out = (
+            "" if value is None else f"{value:.6g}"
+            for value in (row["best"], champion["mean"])
+        )
         history = row["history_hash"][:12] if row["history_hash"] else "not finished"
-        tables.row(table, row["run"], row["generations"], best, at, history)
+        tables.row(table, row["run"], row["generations"], best, held_out, at, history)
     tables.show(table)
     for row in runs:
         if row.get("versions"):

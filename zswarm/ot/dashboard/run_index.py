@@ -78,6 +78,7 @@ def _details(folder: Path) -> dict[str, Any]:
         "generation": row["generations"],
         "generations": complete.generations,
         "best": row["best"],
+        "held_out": (row["champion"] or {"mean": None})["mean"],
         "evaluations": row["candidates"],
         "at": row["finished_at"],
         "history_hash": row["history_hash"],

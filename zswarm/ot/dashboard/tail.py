@@ -169,7 +169,9 @@ class RecordTail:
         rate = sum(server.rate(now) for server in servers) if running else 0.0
         each = complete.problem.trials if complete.ranking.kind == "absolute" else 0
         current, pace = self._generation + 1, self._pace()
-        left_s = round((complete.generations - current) * pace, 1)
+        champion = self._run.held_out
+        left = complete.generations - current
+        left_s = round(left * pace, 1)
         return {
             "status": found,
             "running": running,
@@ -177,12 +179,13 @@ class RecordTail:
             "generation": current,  # finished ones
             "generations": complete.generations,
             "counted": self._counted.get(current, 0) if running else 0,
-            "trials": self._candidates * each if running else 0,
+            "trials": self._candidates * each if running and left else 0,
             "evaluations": self._evaluations,
             "rate": round(rate / each, 2) if each else None,
             "trial_rate": round(rate, 1),
             "eta_s": left_s if pace and found == "running" else None,
             "best": self._best,
+            "held_out": None if champion is None else champion.mean,
             "mean": self._mean,
             "at": self._newest() or None,
             "servers": sum(server.slots > 0 for server in servers) if running else 0,

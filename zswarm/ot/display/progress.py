@@ -4,6 +4,7 @@ import sys
 import time
 from typing import Any
 
+from zswarm.controller import HeldOut
 from zswarm.ot.display.tables import echo, print_json, wrapped
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.system.format import duration, plural
@@ -41,7 +42,7 @@ class JsonDisplay(PlainDisplay):
 
     def on_end(self, result: Result | None) -> None:
         if result is not None:
-            print_json({"event": "done", **result._asdict()})
+            print_json({"event": "done", **result.as_object()})
 
 
 class LiveDisplay(PlainDisplay):
@@ -128,15 +129,32 @@ def generation_event(generation: Generation, **more: Any) -> dict[str, Any]:
 
 
 def summary(result: Result) -> str:
-    """Describe the result of a run in three lines."""
+    """Describe the result of a run in three lines, or four if its champion was assessed."""
     best = "the last generation's best score is" if result.relative else "best fitness"
     return (
         f"{best} {result.best:.6g} after {plural(result.generations, 'generation')}, "
         f"{plural(result.evaluations, 'evaluation')} "
         f"({plural(result.requeued, 'trial')} sent again), {duration(result.seconds)}\n"
+        f"{held_out(result.champion)}"
         f"history {', '.join([*flaws(result), result.history_hash])}\n"
         f"run     {result.run}"
     )
+
+
+def held_out(champion: HeldOut | None) -> str:
+    """Return a line about the champion on held-out seeds and in search; "" without these."""
+    if champion is None:
+        return ""
+    low, high = shown(champion.low), shown(champion.high)
+    return (
+        f"held-out fitness {shown(champion.mean)} of the champion (95 %: {low} to {high}, "
+        f"{plural(champion.seeds, 'seed')}); in search {shown(champion.in_search)}\n"
+    )
+
+
+def shown(value: float | None) -> str:
+    """Return a fitness in a few digits; "unknown" for None."""
+    return "unknown" if value is None else f"{value:.6g}"
 
 
 def flaws(result: Result) -> list[str]:

@@ -13,6 +13,7 @@ import numpy as np
 from zswarm import evaluate, experiment
 from zswarm.config import ranges
 from zswarm.experiment import Experiment
+from zswarm.ot.assessment import contest
 from zswarm.ot.build import Parts
 from zswarm.ot.estimate.sample import breed, rounds
 from zswarm.ot.problem import Problem
@@ -64,6 +65,7 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
     candidates_later_generations: int
     evaluations: int
     simulations: int
+    assessment_simulations: int  # at most, after the last generation
     trial_s: float
     slots: int  # of this machine
     seconds: float  # on these
@@ -93,7 +95,7 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
     genome = problem.representation.genome_bytes or int(
         np.mean([len(one) for one in genomes])
     )
-    work = _work(problem, first, later, sample.trial_s, genome)
+    work = _work(problem, first, later, sample, genome)
     hidden = complete.representation.settings.get("hidden")
     return Explanation(
         experiment=complete.name,
@@ -142,7 +144,7 @@ def _simulator(problem: Problem) -> dict[str, Any]:
 
 
 def _work(
-    problem: Problem, first: int, later: int, trial_s: float, genome_bytes: int
+    problem: Problem, first: int, later: int, sample: TrialSample, genome_bytes: int
 ) -> dict[str, Any]:
     """Count evaluations, simulations, seconds and bytes of a run."""
     complete, simulator = problem.experiment, problem.simulator
@@ -155,18 +157,22 @@ def _work(
         + METRIC * len(simulator.metrics)
         + PARTICIPANT * (simulator.participants - 1)
     )
-    record = evaluations * (genome_bytes + CANDIDATE) + simulations * trial
+    assessed = 0 if sample.same else contest.most_trials(problem, simulations)
+    record = evaluations * (genome_bytes + CANDIDATE)
+    record += (simulations + assessed) * trial
 
     def seconds(slots: int) -> float:
         """Count whole rounds of trials: each round of games waits for its last one."""
         steps = [sum(-(-games * trials // slots) for games in some) for some in played]
-        return trial_s * (steps[0] + others * steps[1])
+        steps_after = -(-assessed // slots)
+        return sample.trial_s * (steps[0] + others * steps[1] + steps_after)
 
     slots = experiment.slots_of_this_machine(complete.cluster)
     return {
         "games": sum(played[0]),
         "evaluations": evaluations,
         "simulations": simulations,
+        "assessment_simulations": assessed,
         "slots": slots,
         "seconds": seconds(slots),
         "seconds_elsewhere": seconds(EXAMPLE_SERVERS * EXAMPLE_SLOTS),

@@ -74,7 +74,9 @@ class BaseOptimizer(Optimizer):
             fitness: (genomes asked,) float64, NaN where evaluation failed.
             statistics: added to ``best``, ``mean`` and ``evaluations``, or replacing them.
         """
-        if self.relative:
+        genome = self._best[0]
+        if self.relative or (self.fresh and genome in self._asked):
+            # Its former fitness is outdated.
             self._best = (b"", float("-inf"))
         for genome, value in zip(self._asked, fitness.tolist(), strict=True):
             if value > self._best[1]:

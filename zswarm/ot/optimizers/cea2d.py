@@ -43,7 +43,9 @@ class Cea2dSettings(MutationSettings, frozen=True):
 class CEA2D(BaseOptimizer):
     """Cellular evolution on a torus: individuals compete and mate with their neighbours only.
 
-    That keeps them different. Statistics: best, mean of all cells, evaluations; ``diversity_mean``,
+    That keeps them different. With fresh seeds all cells are evaluated again.
+
+    Statistics: best, mean of all cells, evaluations; ``diversity_mean``,
     the mean distance of two individuals, over all pairs of at most 250; per operator (elite,
     mutation, crossover, renew) ``count_`` of its individuals and ``effectivity_``, the share of
     these that stays.
@@ -81,7 +83,7 @@ class CEA2D(BaseOptimizer):
             stays, best = self._ranked()
             self._cells = np.flatnonzero(~stays)
             self._evolve(best, stream)
-        if self.relative:
+        if self.relative or self.fresh:
             self._cells = np.arange(len(self._population))
         return [self._population[cell] for cell in self._cells]
 

@@ -35,7 +35,9 @@ class CuckooSettings(PartSettings, frozen=True):
 class CuckooSearch(BaseOptimizer):
     """Cuckoo search: Lévy flights, mostly short and sometimes long, and crossings of nests.
 
-    For vectors of numbers. Statistics: best, mean of the nests, evaluations; ``spread``, the mean
+    For vectors of numbers. With fresh seeds all nests are evaluated again.
+
+    Statistics: best, mean of the nests, evaluations; ``spread``, the mean
     distance of a nest's number from the mean of all nests, in ranges of new genomes; ``success``,
     the share of the last eggs that were better than their nest.
     """
@@ -54,6 +56,11 @@ class CuckooSearch(BaseOptimizer):
         self._laid = np.arange(settings.population)  # nests that have the eggs
         self._fitness = np.full(settings.population, np.nan)
 
+    def use_fresh_seeds(self) -> None:
+        """See ``Optimizer``: all nests are evaluated again."""
+        super().use_fresh_seeds()
+        self.candidates = 2 * self.settings.population
+
     def _ask(self) -> list[bytes]:
         settings, count = self.settings, self.settings.population
         stream = self._stream("cuckoo")
@@ -70,7 +77,8 @@ class CuckooSearch(BaseOptimizer):
             )
             moved = self._nests[self._laid] + self._crossings(stream)[self._laid]
         self._eggs = np.clip(moved, -settings.bound, settings.bound)
-        return self._space.genomes(self._eggs)
+        eggs = self._space.genomes(self._eggs)
+        return [*eggs, *self._space.genomes(self._nests)] if self.fresh else eggs
 
     def _flights(self, stream: Stream) -> np.ndarray:
         """Return steps of Lévy flights, scaled by the distance to the best nest."""
@@ -92,13 +100,16 @@ class CuckooSearch(BaseOptimizer):
         return stream.uniform(0.0, 1.0, count)[:, None] * (one - other)  # eq. 1
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  unused
+        everything, fitness = fitness, fitness[: len(self._eggs)]
+        if len(everything) > len(fitness):
+            self._fitness = everything[len(fitness) :].copy()
         previous = self._fitness[self._laid]
         better = (fitness > previous) | (np.isnan(previous) & ~np.isnan(fitness))
         self._nests = self._nests.copy()
         self._nests[self._laid[better]] = self._eggs[better]
         self._fitness[self._laid[better]] = fitness[better]
         self._count(
-            fitness,
+            everything,
             mean=mean(self._fitness),
             spread=spread(self._nests),
             success=int(better.sum()) / len(better),

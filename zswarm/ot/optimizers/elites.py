@@ -106,6 +106,8 @@ class CmaMeSettings(ArchiveSettings, frozen=True):
 class Elites(Adapter):
     """An archive with a cell for each kind of behaviour; a child creates the emitters that fill it.
 
+    With fresh seeds all elites are evaluated again, and find their cells again.
+
     Statistics: elites (cells that have one), coverage (their share), qd_score (the sum of their
     fitness, each minus ``qd_score_offset``).
     """
@@ -129,13 +131,30 @@ class Elites(Adapter):
             seed=derive_seed(seed, "archive"),
         )
         self._emitters: list[Any] = []
+        self._again = 0  # elites that are evaluated again, the first of an ask
+
+    def use_fresh_seeds(self) -> None:
+        """See ``Optimizer``: all elites are evaluated again, and find their cells again."""
+        super().use_fresh_seeds()
+        self.candidates = None
 
     def _propose(self) -> np.ndarray:
-        return np.concatenate([emitter.ask() for emitter in self._emitters])
+        asked = [emitter.ask() for emitter in self._emitters]
+        if self.fresh:
+            asked.insert(0, self.archive.data("solution"))
+            self._again = len(asked[0])
+        return np.concatenate(asked)
 
     def _learn(
         self, solutions: np.ndarray, fitness: np.ndarray, measures: np.ndarray
     ) -> None:
+        if self._again:
+            self.archive.clear()
+            whole = ~np.isnan(measures[: self._again]).any(axis=1)
+            told = (solutions, fitness, measures)
+            if whole.any():
+                self.archive.add(*(numbers[: self._again][whole] for numbers in told))
+            solutions, fitness, measures = (numbers[self._again :] for numbers in told)
         failed = np.isnan(measures).any(axis=1)
         if failed.all():
             return

@@ -96,7 +96,7 @@ class Species(msgspec.Struct):
 class NEAT(BaseOptimizer):
     """Networks grow from inputs and outputs alone, in species that share their fitness.
 
-    Needs the representation neat. Portable: yes.
+    Needs the representation neat. Portable: yes. With fresh seeds elites are evaluated again.
     """
 
     settings_type = NeatSettings
@@ -137,7 +137,7 @@ class NEAT(BaseOptimizer):
         settings, best_before = self.settings, self._best
         breeding.set_fitness(self._population, fitness)
         self._count(fitness)
-        if self._best is not best_before:
+        if self._best != best_before and not self._best[1] <= best_before[1]:
             self._improved = self.generation
         self._species = self._speciated()
         for species in self._species:
@@ -209,7 +209,7 @@ class NEAT(BaseOptimizer):
             members, end = self._species[index].members, len(population) + count
             if count and len(members) > self.settings.elite_size:
                 population.append(msgspec.structs.replace(members[0], operator="elite"))
-                population[-1].evaluated = not self.relative
+                population[-1].evaluated = not (self.relative or self.fresh)
             while len(population) < end:
                 population.append(self._child(index, stream))
         mutated = [child for child in population if child.operator == "mutation"]

@@ -55,7 +55,10 @@ class NNGASettings(MutationSettings, frozen=True):
 
 
 class NNGA(BaseOptimizer):
-    """FREVO's genetic algorithm: elite, survivors, mutants, crossovers, and new individuals."""
+    """FREVO's genetic algorithm: elite, survivors, mutants, crossovers, and new individuals.
+
+    With fresh seeds elite and survivors are evaluated again.
+    """
 
     settings_type = NNGASettings
     competes = True
@@ -102,7 +105,7 @@ class NNGA(BaseOptimizer):
                 self._population.append(self._evolve(index, fathers, stream))
                 fathers[index] = genomes(self._population[index][:survivors])
         individuals = _joined(self._population)
-        if self.relative:
+        if self.relative or self.fresh:
             for individual in individuals:
                 individual.evaluated = False
         return unevaluated(individuals)

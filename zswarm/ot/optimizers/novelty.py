@@ -48,7 +48,9 @@ class NoveltySettings(MutationSettings, frozen=True):
 class Novelty(BaseOptimizer):
     """Novelty search: breeds for behaviour that is new, as metrics describe it.
 
-    For tasks where fitness misleads. Statistics: best, mean, evaluations; ``novelty``, the mean of
+    For tasks where fitness misleads. With fresh seeds the population is evaluated again.
+
+    Statistics: best, mean, evaluations; ``novelty``, the mean of
     the population; ``archive``, its behaviours; ``threshold``, the novelty that enters it.
     """
 
@@ -70,6 +72,11 @@ class Novelty(BaseOptimizer):
         self._threshold = settings.threshold
         self._idle = 0  # generations since an entry of the archive
 
+    def use_fresh_seeds(self) -> None:
+        """See ``Optimizer``: the population is evaluated again; the archive has no genomes."""
+        super().use_fresh_seeds()
+        self.candidates = 2 * self.settings.population
+
     def _ask(self) -> list[bytes]:
         stream = self._stream("novelty")
         count = self.settings.population
@@ -81,7 +88,7 @@ class Novelty(BaseOptimizer):
         for _ in range(count - mutated):
             mother, father = self._selected(stream), self._selected(stream)
             children.append(self.representation.crossover(mother, father, stream))
-        return children
+        return children + self._genomes if self.fresh else children
 
     def _selected(self, stream: Stream) -> bytes:
         """Return the better of two random individuals."""
@@ -90,7 +97,11 @@ class Novelty(BaseOptimizer):
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:
         weight = self.settings.fitness
-        genomes = self._genomes + self._asked
+        everything, born = fitness, self.settings.population
+        if len(fitness) > born:  # and of the population again
+            self._fitness, self._behaviours = fitness[born:], measures[born:]
+            fitness, measures = fitness[:born], measures[:born]
+        genomes = self._genomes + self._asked[:born]
         fitnesses = np.concatenate([self._fitness, fitness])
         behaviours = np.vstack([self._behaviours, measures])
         novelty = self._novelty(behaviours)
@@ -103,7 +114,7 @@ class Novelty(BaseOptimizer):
         self._fitness, self._behaviours = fitnesses[chosen], behaviours[chosen]
         self._extend_archive(measures, novelty[-len(measures) :])
         self._count(
-            fitness,
+            everything,
             novelty=mean(novelty[chosen]),
             archive=float(len(self._archive)),
             threshold=self._threshold,

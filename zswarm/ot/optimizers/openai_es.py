@@ -39,6 +39,9 @@ class OpenAIESSettings(PartSettings, frozen=True):
 class OpenAIES(BaseOptimizer):
     """OpenAI's evolution strategy: moves one genome along an estimated gradient. For vectors.
 
+    With fresh seeds nothing needs another evaluation: only the mean survives, and is evaluated in
+    each generation.
+
     Statistics: best, mean, evaluations; ``centre``, the fitness of the mean genome; ``gradient``,
     the length of the estimated gradient; ``size``, the mean distance of the mean genome's numbers
     from zero, in ranges of new genomes.

@@ -30,6 +30,9 @@ class Optimizer(ABC):
             tournament.
         relative: whether fitness is such; set before the first ask. Then an ask returns all genomes
             that compete, also those evaluated before, and ``best`` is of the last generation.
+        fresh: whether trials have new seeds in each generation; set by ``use_fresh_seeds``. Then an
+            ask also returns the genomes that survive, and tells give the mean over all seeds that a
+            genome has seen in generations one after the other. ``best`` is of what is known.
         measures: names of the simulator's metrics that a tell takes in addition to fitness.
         generation: number of generations told.
         candidates: most genomes of one ask, or None if that is unknown.
@@ -42,6 +45,7 @@ class Optimizer(ABC):
     replays: ClassVar[bool] = False
     competes: ClassVar[bool] = False
     relative: bool = False
+    fresh: bool = False
     measures: Sequence[str] = ()
     candidates: int | None = None
     diverged: int | None = None
@@ -55,6 +59,10 @@ class Optimizer(ABC):
         self.generation = 0
         self._asked: list[bytes] = []  # the last generation asked for
         self._waiting = False  # for its fitness
+
+    def use_fresh_seeds(self) -> None:
+        """Evaluate what survives again in each generation; called before the first ask, if ever."""
+        self.fresh = True
 
     def ask(self) -> list[bytes]:
         """Return the genomes to evaluate next.

@@ -40,6 +40,8 @@ class PsoSettings(PartSettings, frozen=True):
 class PSO(BaseOptimizer):
     """Particle swarm optimization: particles drawn to the best positions found. For vectors.
 
+    With fresh seeds the best position of each particle is evaluated again.
+
     Statistics: best, mean, evaluations; ``spread``, the mean distance of a particle's number from
     the swarm's mean, and ``speed``, its mean change in a generation, both in ranges of new genomes.
     """
@@ -58,6 +60,11 @@ class PSO(BaseOptimizer):
         self._best_positions = self._positions
         self._best_fitness = np.full(settings.population, -np.inf)
 
+    def use_fresh_seeds(self) -> None:
+        """See ``Optimizer``: the best position of each particle is evaluated again."""
+        super().use_fresh_seeds()
+        self.candidates = 2 * self.settings.population
+
     def _ask(self) -> list[bytes]:
         settings, count, space = self.settings, self.settings.population, self._space
         stream = self._stream("pso")
@@ -75,13 +82,18 @@ class PSO(BaseOptimizer):
         self._velocities = np.clip(velocities, -settings.speed, settings.speed)
         # Eq. 1b.
         self._positions = np.clip(x + self._velocities, -settings.bound, settings.bound)
-        return space.genomes(self._positions)
+        asked = space.genomes(self._positions)
+        return [*asked, *space.genomes(best)] if self.fresh else asked
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  unused
+        count, everything = self.settings.population, fitness
+        fitness, again = fitness[:count], fitness[count:]
+        if len(again):
+            self._best_fitness = np.where(np.isnan(again), -np.inf, again)
         better = fitness > self._best_fitness  # false for NaN
         self._best_fitness = np.where(better, fitness, self._best_fitness)
         self._best_positions = np.where(
             better[:, None], self._positions, self._best_positions
         )
         speed = mean(np.abs(self._velocities))
-        self._count(fitness, spread=spread(self._positions), speed=speed)
+        self._count(everything, spread=spread(self._positions), speed=speed)

@@ -1,6 +1,6 @@
 """Random search, FREVO's ``RandomSearch``: the baseline that other methods must beat.
 
-As in FREVO, the best individual survives, and is not evaluated again.
+As in FREVO, the best individual survives, and is not evaluated again on the same seeds.
 """
 
 from typing import Annotated
@@ -24,6 +24,8 @@ class RandomSearchSettings(PartSettings, frozen=True):
 class RandomSearch(BaseOptimizer):
     """Random search: new random genomes in every generation; what other methods must beat.
 
+    With fresh seeds the best is evaluated again.
+
     Statistics: best, mean of those evaluated in the last generation, evaluations.
     """
 
@@ -42,7 +44,7 @@ class RandomSearch(BaseOptimizer):
         genomes = self.representation.random(
             self.settings.population - bool(best), stream
         )
-        return [best, *genomes] if best and self.relative else genomes
+        return [best, *genomes] if best and (self.relative or self.fresh) else genomes
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  unused
         self._count(fitness)

@@ -58,6 +58,19 @@ class History:
         return self.value.hex()
 
 
+def assessed(history: bytes, genomes: Iterable[bytes], fitness: np.ndarray) -> str:
+    """Return the hash of an assessment: 32 hex digits over the history and its outcomes.
+
+    Args:
+        history: the history hash of search.
+        genomes: those that were assessed.
+        fitness: (trials,) float64.
+    """
+    found = History(history)
+    found.add_digests([digest(genome) for genome in genomes], fitness)
+    return found.hex()
+
+
 def digest(genome: bytes) -> bytes:
     """Return a genome's digest: 16 bytes of BLAKE2b."""
     return hashlib.blake2b(genome, digest_size=SIZE).digest()

@@ -22,14 +22,14 @@ from zswarm.ot.record.database import Statement, transact
 from zswarm.ot.record.digests import seal
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT
 from zswarm.ot.record.history_hash import VERSION as HISTORY_VERSION
-from zswarm.ot.record.schema import CREATE, SCHEMA_VERSION
+from zswarm.ot.record.schema import ASSESSMENT, CREATE, OF_THE_END, SCHEMA_VERSION
 from zswarm.ot.record.statements import SET_META
 from zswarm.system.files import sync
 from zswarm.system.version import VERSION
 
 SECRET = 16  # bytes, by which servers tell the run's programs from others
 # These may change while a run is stopped.
-NOT_DECISIVE = ("generations", "cluster", "record", "study")
+NOT_DECISIVE = ("generations", "assessment", "cluster", "record", "study")
 
 
 def new_meta(
@@ -99,14 +99,14 @@ def check(
     keys = [key for key in sorted(before | after) if before.get(key) != after.get(key)]
     raise ConfigError(
         f"{folder / EXPERIMENT}: {', '.join(keys)} changed since the run began; "
-        "only generations, [cluster] and [record] may"
+        "only generations, [assessment], [cluster] and [record] may"
     )
 
 
 def raise_epoch(
     connection: sqlite3.Connection, complete: Experiment, meta: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Count a resume; the hash of a run that gets more generations is dropped.
+    """Count a resume; a run that gets more generations loses its hash and its assessment.
 
     Returns:
         The new table ``meta``.
@@ -121,8 +121,10 @@ def raise_epoch(
         (SET_META, ("secret", secret)),
     ]
     if finished < complete.generations:
-        now.pop("history_hash", None)
-        changes.append(("DELETE FROM meta WHERE key = 'history_hash'", ()))
+        for key in OF_THE_END:
+            now.pop(key, None)
+            changes.append(("DELETE FROM meta WHERE key = ?", (key,)))
+        changes.append(("DELETE FROM outcomes WHERE generation = ?", (ASSESSMENT,)))
     transact(connection, [*changes, (SET_META, seal(now))])
     return now
 

@@ -4,7 +4,6 @@ A record may come from somewhere else: its types are checked, and its texts made
 """
 
 import contextlib
-import html
 import json
 import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,7 +15,7 @@ import msgspec
 
 from zswarm import experiment
 from zswarm.config.sections import ABSOLUTE
-from zswarm.controller import CHAMPION, Controller, load_controller
+from zswarm.controller import CHAMPION, Controller, HeldOut, load_controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.record import verify
@@ -24,7 +23,7 @@ from zswarm.ot.record.database import UNREADABLE, describe, read_only
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT, check_run, is_running
 from zswarm.ot.record.trials import numbers, trials_of
 from zswarm.system.extras import need
-from zswarm.system.text import clean, clean_all
+from zswarm.system.text import clean, clean_all, html_table
 
 if TYPE_CHECKING:
     import pandas
@@ -73,8 +72,8 @@ class Run:
     def experiment(self) -> Experiment:
         """The experiment with every default; no plug-in is imported, and texts are safe to show.
 
-        It is as the run began, except for ``generations`` and ``[cluster]``, which are read from
-        the file.
+        It is as the run began, except for ``generations``, ``[assessment]`` and ``[cluster]``,
+        which are read from the file.
 
         Raises:
             ConfigError: the file or the record is damaged.
@@ -88,6 +87,7 @@ class Run:
                 for name, part in parts.items()
             },
             "generations": file.generations,
+            "assessment": msgspec.to_builtins(file.assessment),
             "cluster": clean_all(msgspec.to_builtins(file.cluster)),
         }
         return experiment.check(mapping, f"{self.shown}/{DATABASE}")
@@ -122,6 +122,15 @@ class Run:
     def finished(self) -> bool:
         """Return whether the run has all its generations."""
         return self.history_hash is not None
+
+    @property
+    def held_out(self) -> HeldOut | None:
+        """The champion's fitness on held-out seeds and in search; None if it is not assessed."""
+        found = self.meta.get("assessment")
+        try:
+            return None if found is None else msgspec.json.decode(found, type=HeldOut)
+        except (msgspec.DecodeError, TypeError):
+            raise self._damaged("its assessment is not valid JSON") from None
 
     @property
     def relative(self) -> bool:
@@ -165,9 +174,9 @@ class Run:
         return self.rows("SELECT count(*) FROM generations", tuple[int])[0][0]
 
     def best(self) -> float | None:
-        """Return the best fitness; if it is ``relative``, that of the last generation."""
+        """Return the best fitness, as the last generation knows it."""
         best = [row[2] for row in self._generations()]
-        if self.relative:
+        if self.relative or self._began["problem"].get("seeds") == "fresh":
             return best[-1] if best else None
         return max((value for value in best if value is not None), default=None)
 
@@ -275,7 +284,7 @@ class Run:
         ]
 
     def _repr_html_(self) -> str:
-        best = self.best()
+        best, held_out = self.best(), self.held_out and self.held_out.mean
         label = "best score of the last generation" if self.relative else "best fitness"
         state = "running" if self.going_on else "stopped: zswarm.resume continues it"
         state = "finished" if self.finished else state
@@ -284,15 +293,10 @@ class Run:
             "simulator": self.experiment.problem.simulator,
             "generations": f"{self.generations()} of {self.experiment.generations}, {state}",
             label: "" if best is None else f"{best:.6g}",
+            "champion, held-out": "" if held_out is None else f"{held_out:.6g}",
             "history": self.history_hash or "",
         }
-        left = "style='text-align:left'"
-        cells = "".join(
-            f"<tr><th {left}>{html.escape(key)}</th><td {left}>{html.escape(value)}</td></tr>"
-            for key, value in rows.items()
-            if value
-        )
-        return f"<table>{cells}</table>"
+        return html_table({key: value for key, value in rows.items() if value})
 
     # ---- reading the database
 

@@ -51,4 +51,9 @@ def result_after(folder: Path, generations: int) -> Result | None:
         doubtful,
         run.relative,
         run.history_version,
+        *(
+            ()
+            if last is not history[-1]
+            else (run.held_out, run.meta.get("assessment_hash", ""))
+        ),
     )

@@ -1,5 +1,6 @@
 """What a resumed run reads back from its record."""
 
+import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -11,11 +12,13 @@ from zswarm.ot.cluster.machines import Known
 from zswarm.ot.notes import RunEvent
 from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.record import statements
+from zswarm.ot.record.contenders import Contender, Contenders
 from zswarm.ot.record.database import Database
 from zswarm.ot.record.history_hash import START, History
 from zswarm.ot.record.packing import Place, unpack
 from zswarm.ot.workload import Workload
 
+CONTENDERS_AT_ONCE = 10_000  # rows
 BANS = (RunEvent.SERVER_WRONG, RunEvent.SERVER_BANNED)
 
 
@@ -118,6 +121,21 @@ class Recorded:
         sql = "SELECT digest FROM candidates WHERE generation = ? ORDER BY candidate"
         return [row[0] for row in self._database.rows(sql, generation)]
 
+    def last_told(self) -> list[tuple[bytes, float, np.ndarray]]:
+        """Return digest, fitness and measures of each candidate of the last generation."""
+        rows = self._database.rows(
+            "SELECT digest, fitness, measures FROM candidates WHERE generation = "
+            "(SELECT max(generation) FROM generations) ORDER BY candidate"
+        )
+        return [
+            (
+                one,
+                math.nan if fitness is None else fitness,
+                np.frombuffer(raw or b"", "<f8"),
+            )
+            for one, fitness, raw in rows
+        ]
+
     def history(self) -> History:
         """Return the hash of the finished generations."""
         last = self._database.rows(
@@ -137,6 +155,53 @@ class Recorded:
             "doubtful": "sum(count) FROM outcomes WHERE doubtful",
         }
         return {name: self._sum(sql) for name, sql in sums.items()}
+
+    def contenders(self, most: int) -> list[tuple[bytes, float]]:
+        """Return genome and fitness of the best distinct candidates, the best first.
+
+        Those whose genomes were dropped are left out.
+        """
+        return [
+            (self._genome(one.place), one.fitness)
+            for one in self._contenders(most, "genome IS NOT NULL").ranked()
+        ]
+
+    def _contenders(self, most: int, which: str = "TRUE") -> Contenders:
+        """Read the best distinct candidates."""
+        found, at = Contenders(most), 0
+        sql = (
+            f"SELECT digest, fitness, generation, candidate FROM candidates WHERE {which} "  # noqa: S608  ours
+            "AND fitness IS NOT NULL ORDER BY fitness DESC, generation, candidate LIMIT ? OFFSET ?"
+        )
+        while len(found.places()) < most and (
+            rows := self._database.rows(sql, CONTENDERS_AT_ONCE, at)
+        ):
+            found.add(Contender(row[0], row[1], (row[2], row[3])) for row in rows)
+            at += CONTENDERS_AT_ONCE
+        return found
+
+    def trials_differ(self, each: int) -> bool:
+        """Return whether outcomes of a candidate differ from trial to trial in generation 0.
+
+        Args:
+            each: trials of a candidate.
+        """
+        first: dict[int, bytes] = {}
+        for trials, fitness, metrics in self._database.rows(
+            "SELECT trials, fitness, metrics FROM outcomes WHERE generation = 0 ORDER BY id"
+        ):
+            indices = np.frombuffer(trials, "<u4").tolist()
+            both = [
+                np.frombuffer(numbers, "<f8").reshape(len(indices), -1)
+                for numbers in (fitness, metrics)
+            ]
+            for index, outcome in zip(indices, np.hstack(both), strict=True):
+                if (
+                    first.setdefault(index // each, outcome.tobytes())
+                    != outcome.tobytes()
+                ):
+                    return True
+        return False
 
     def known(self) -> Known:
         """Return what was found out about machines; a user may trust one again."""

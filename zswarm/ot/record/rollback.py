@@ -27,7 +27,7 @@ from zswarm.ot.record.digests import (
 )
 from zswarm.ot.record.folder import DATABASE, check_run, lock_folder
 from zswarm.ot.record.history_hash import START
-from zswarm.ot.record.schema import CREATE
+from zswarm.ot.record.schema import CREATE, OF_THE_END
 from zswarm.ot.record.statements import SET_META
 from zswarm.system.files import sync
 
@@ -61,7 +61,8 @@ def go_back(folder: Path, generations: int) -> Former:
         part.unlink(missing_ok=True)
         with verify.in_words(folder), read_only(path) as former:
             meta = verify.read_meta(former, path)
-            meta.pop("history_hash", None)
+            for key in OF_THE_END:
+                meta.pop(key, None)
             with contextlib.closing(sqlite3.connect(part, isolation_level=None)) as new:
                 new.executescript(f"BEGIN; {CREATE}")
                 new.executemany(SET_META, [*meta.items(), seal(meta)])

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from zswarm.controller import HeldOut
 from zswarm.errors import ConfigError
 from zswarm.ot.record import control_file, epochs
 from zswarm.ot.record.database import UNREADABLE, describe, outage, read_only
@@ -18,10 +19,12 @@ DEPTH = 2  # of folders below one: runs/STUDY/RUN
 STATUS = {"pause": "paused", "drain": "stopping", "stop": "stopping"}
 SUMMARY = """
     SELECT count(*), sum(evaluations), max(finished_at),
-        CASE WHEN EXISTS (SELECT 1 FROM meta WHERE key = 'relative')
+        CASE WHEN EXISTS (SELECT 1 FROM meta WHERE key = 'relative'
+                OR (key = 'experiment' AND value LIKE '%"seeds": "fresh"%'))
             THEN (SELECT best FROM generations ORDER BY generation DESC LIMIT 1)
             ELSE max(best) END,
-        (SELECT value FROM meta WHERE key = 'history_hash')
+        (SELECT value FROM meta WHERE key = 'history_hash'),
+        (SELECT value FROM meta WHERE key = 'assessment')
     FROM generations"""
 
 
@@ -89,10 +92,13 @@ def summary(folder: Path) -> dict[str, Any]:
         with read_only(folder / DATABASE) as database:
             row = database.execute(SUMMARY).fetchone()
             texts = [text for (text,) in database.execute(epochs.TEXTS)]
-        kind = tuple[int, int | None, float | None, float | None, str | None]
-        generations, candidates, at, best, history = msgspec.convert(row, kind)
+        kind = tuple[int, int | None, float | None, float | None, str | None, str | None]
+        generations, candidates, at, best, history, held_out = msgspec.convert(row, kind)
+        champion = msgspec.json.decode(held_out or "null", type=HeldOut | None)
     except msgspec.ValidationError as error:
         return {"run": shown, "error": f"damaged: its table generations: {error}"}
+    except msgspec.DecodeError as error:
+        return {"run": shown, "error": f"damaged: its assessment: {error}"}
     except UNREADABLE as error:
         what = "cannot be read" if outage(error, folder) else "damaged"
         return {"run": shown, "error": f"{what}: {clean(describe(error, folder))}"}
@@ -100,6 +106,7 @@ def summary(folder: Path) -> dict[str, Any]:
         "run": shown,
         "generations": generations,
         "best": best,
+        "champion": None if champion is None else msgspec.structs.asdict(champion),
         "candidates": candidates or 0,
         "finished_at": at,
         "history_hash": clean(history) if history else None,

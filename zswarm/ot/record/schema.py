@@ -12,6 +12,13 @@ from zswarm.system.text import clean
 from zswarm.system.version import VERSION
 
 SCHEMA_VERSION = 6
+ASSESSMENT = 1_000_000_000  # in place of a generation, after the last that a run can have
+OF_THE_END = (
+    "history_hash",
+    "assessing",
+    "assessment",
+    "assessment_hash",
+)  # keys of meta that come with it
 TABLES = ("meta", "generations", "candidates", "outcomes", "events", "optimizer")
 _TABLES = """
 CREATE TABLE meta (key TEXT PRIMARY KEY, value) WITHOUT ROWID;

@@ -20,13 +20,12 @@ import msgspec
 import numpy as np
 
 from zswarm import experiment
-from zswarm.config.sections import KeptGenomes
 from zswarm.controller import CHAMPION, Controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note, RunEvent
-from zswarm.ot.record import opening, statements, verify
+from zswarm.ot.record import contenders, opening, statements, verify
 from zswarm.ot.record.database import (
     Database,
     Statement,
@@ -47,6 +46,7 @@ from zswarm.ot.record.folder import (
 from zswarm.ot.record.history_hash import History, digest
 from zswarm.ot.record.packing import PackedState, pack
 from zswarm.ot.record.resuming import Recorded
+from zswarm.ot.record.schema import ASSESSMENT
 from zswarm.ot.record.statements import ADD_OUTCOMES, SET_META
 from zswarm.ot.workload import Workload
 from zswarm.system.files import write_whole
@@ -67,7 +67,7 @@ class Record(Recorded):
         connection: sqlite3.Connection,
         lock: int,
         meta: Mapping[str, Any],
-        genomes: KeptGenomes,
+        complete: Experiment,
     ) -> None:
         super().__init__()
         self.folder = folder
@@ -77,8 +77,13 @@ class Record(Recorded):
         self._lock = lock
         self._outcomes = itertools.count(_first_free(connection, "outcomes"))
         self._events = itertools.count(_first_free(connection, "events"))
-        self._meta, self._keep = dict(meta), genomes
+        self._meta, self._keep = dict(meta), complete.record.genomes
         self._history = self.history().value
+        # Of fewer genomes than all, also those of the candidates are kept that may be assessed.
+        assessed = complete.assessment
+        self._raced = self._contenders(
+            assessed.candidates if self._keep != "all" and assessed.budget else 0
+        )
         self._generation: int | None = None
         self._round, self._asked = 0, b""
         self._digests: tuple[Sequence[bytes], list[bytes]] = ([], [])  # of these genomes
@@ -116,7 +121,7 @@ class Record(Recorded):
                 write_whole(folder / EXPERIMENT, experiment.to_toml(complete).encode())
                 rows = opening.new_meta(complete, version_hash, metrics, **meta)
                 opening.create(path, rows)
-                record = cls(folder, connect(path), lock, rows, complete.record.genomes)
+                record = cls(folder, connect(path), lock, rows, complete)
             except (sqlite3.OperationalError, OSError) as error:
                 why = f"cannot be written: {describe(error, parent)}"
                 raise unusable(folder, why) from None
@@ -140,7 +145,7 @@ class Record(Recorded):
                     undo.callback(connection.close)
                     meta = opening.check(folder, connection, complete)
                     meta = opening.raise_epoch(connection, complete, meta)
-                    record = cls(folder, connection, lock, meta, complete.record.genomes)
+                    record = cls(folder, connection, lock, meta, complete)
             except sqlite3.DatabaseError as error:
                 why = f"cannot be written: {describe(error, folder)}"
                 raise ConfigError(f"{folder}: {why}") from None
@@ -226,6 +231,8 @@ class Record(Recorded):
             round_ = self._value(
                 "SELECT max(round) FROM outcomes WHERE generation = ?", generation
             )
+            if self.meta("assessment"):
+                generation, round_ = ASSESSMENT + 1, 0
         of, self._trials = (generation, round_ or 0, server), None
         self._database.write(
             (
@@ -239,6 +246,13 @@ class Record(Recorded):
             ),
         )
 
+    def begin_assessment(self, plan: str) -> None:
+        """Drop what is recorded of an assessment with another plan, such as another budget."""
+        if self.meta("assessing") != plan:
+            sql = "DELETE FROM outcomes WHERE generation = ?"
+            self._database.write((sql, (ASSESSMENT,)))
+            self.set_meta("assessing", plan)
+
     def forget_others(self) -> int:
         """Delete this generation's outcomes of other candidates than its own; return how many."""
         of = (self._generation, self._asked)
@@ -251,7 +265,8 @@ class Record(Recorded):
     def note(self, note: Note) -> None:
         """Add an event."""
         row, at = next(self._events), time.time()
-        self._database.write(statements.event(note, row, self._generation, at))
+        within = None if self._generation == ASSESSMENT else self._generation
+        self._database.write(statements.event(note, row, within, at))
 
     def finish(
         self,
@@ -308,7 +323,9 @@ class Record(Recorded):
         """Return what adds a generation's candidates, and drops genomes that are not kept."""
         if self._keep == "all" or packed is None:
             return statements.candidates(generation, genomes, digests, fitness, measures)
-        needed = set(packed.genomes.values())
+        former = set(self._known.values()) | self._raced.places()
+        self._raced.add(contenders.of_generation(generation, digests, fitness.tolist()))
+        needed = set(packed.genomes.values()) | self._raced.places()
         kept: Sequence[bytes | None] = genomes
         if self._drops(generation):
             best = (generation, int(np.argsort(-fitness, kind="stable")[0]))  # NaN last
@@ -317,14 +334,13 @@ class Record(Recorded):
                 genome if (generation, at) in needed else None
                 for at, genome in enumerate(genomes)
             ]
-        former = [
-            place
-            for place in self._known.values()
-            if place not in needed and self._drops(place[0])
-        ]
         return [
             *statements.candidates(generation, kept, digests, fitness, measures),
-            *((statements.DROP_GENOME, (*place, place[0])) for place in former),
+            *(
+                (statements.DROP_GENOME, (*place, place[0]))
+                for place in sorted(former - needed)
+                if self._drops(place[0])
+            ),
         ]
 
     def _drops(self, generation: int) -> bool:

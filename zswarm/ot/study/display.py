@@ -101,7 +101,7 @@ class JsonStudyDisplay(PlainStudyDisplay):
         if ended.result is None:
             tables.print_json({"event": "failed", **values, "error": ended.error})
         else:
-            tables.print_json({"event": "run", **values, **ended.result._asdict()})
+            tables.print_json({"event": "run", **values, **ended.result.as_object()})
 
     def on_outcome(self, outcome: StudyOutcome | None) -> None:
         if outcome is None:
@@ -194,22 +194,27 @@ def _described(ended: RunEnded) -> str:
     if result is None:
         return f"{name}  failed: {ended.error}"
     work = f"{plural(result.evaluations, 'evaluation')}, {duration(result.seconds)}"
-    parts = (name, f"best {result.best:.6g}", work, ", ".join(flaws(result)))
+    champion, held_out = result.champion, ""
+    if champion is not None and champion.mean is not None:
+        held_out = f"held-out {champion.mean:.6g}"
+    parts = (name, f"best {result.best:.6g}", held_out, work, ", ".join(flaws(result)))
     return "  ".join(filter(None, parts))
 
 
 def _show(outcome: StudyOutcome) -> None:
     """Print the table of settings, the failed runs, and what can be done next."""
-    table = tables.table(
-        "setting", ">runs", ">q25", ">median", ">q75", ">best", ">evaluated"
-    )
+    assessed = any(summary.held_out is not None for summary in outcome.settings)
+    held_out = [">held-out"] if assessed else []
+    columns = (">runs", ">q25", ">median", ">q75", ">best", *held_out, ">evaluated")
+    table = tables.table("setting", *columns)
     for summary in outcome.settings:
         label = summary.label or (
             "unchanged" if len(outcome.settings) > 1 else "all runs"
         )
         spread = summary.fitness
-        values = (spread.q25, spread.median, spread.q75, spread.best)
-        numbers = ("" if value is None else f"{value:.6g}" for value in values)
+        values = [spread.q25, spread.median, spread.q75, spread.best]
+        values += [summary.held_out] if assessed else []
+        numbers = ("" if value is None else f"{value:.5g}" for value in values)
         tables.row(table, label, summary.runs, *numbers, summary.evaluations)
     tables.show(table)
     for ended in outcome.failed:

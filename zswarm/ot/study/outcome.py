@@ -27,13 +27,18 @@ class Summary(NamedTuple):
     runs: int
     fitness: Spread
     evaluations: int
+    held_out: float | None  # median of the champions' means on held-out seeds
 
     def numbers(self) -> dict[str, Any]:
         """Return what is reported to programs."""
         found = {
             name: getattr(self.fitness, name) for name in ("median", "q25", "q75", "best")
         }
-        return {**found, "evaluations": self.evaluations}
+        return {
+            **found,
+            "held_out": self.held_out,
+            "evaluations": self.evaluations,
+        }
 
 
 class StudyOutcome(NamedTuple):
@@ -98,4 +103,7 @@ def _summary(settings: dict[str, Any], words: str, ended: Sequence[RunEnded]) ->
         [-np.inf if np.isnan(result.best) else result.best for result in results]
     )
     evaluations = sum(result.evaluations for result in results)
-    return Summary(settings, words, len(results), spread(best), evaluations)
+    champions = [result.champion for result in results if result.champion is not None]
+    means = [one.mean for one in champions if one.mean is not None]
+    held_out = float(np.median(means)) if means else None
+    return Summary(settings, words, len(results), spread(best), evaluations, held_out)

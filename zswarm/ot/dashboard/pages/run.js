@@ -142,8 +142,8 @@ class RunPage {
     const rate = state.rate === null ? `${number(state.trial_rate)} games/s`
       : number(state.rate, 3);
     const values = {
-      generation: `${number(done)} / ${number(state.generations)}`, best: number(state.best),
-      mean: number(state.mean), evaluations: number(state.evaluations),
+      generation: `${number(done)} / ${number(state.generations)}`, 'best in search': number(state.best),
+      'champion, held-out': number(state.held_out), mean: number(state.mean), evaluations: number(state.evaluations),
       'evaluations/s': running ? rate : '–', 'time left': duration(state.eta_s),
       servers: number(state.servers), slots: number(state.slots),
       'sent again': number(state.requeued),

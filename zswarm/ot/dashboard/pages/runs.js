@@ -12,7 +12,7 @@ const POINTS = 200; // of medians and quartiles
 const FREE = new Set(['seed', 'generations']);
 const HEADS = [
   ['', ''], ['run', 'name'], ['state', 'status'], ['generation', 'generation', 'n'],
-  ['best', 'best', 'n'], ['evaluations', 'evaluations', 'n'], ['simulator', 'simulator'],
+  ['best', 'best', 'n'], ['held-out', 'held_out', 'n'], ['evaluations', 'evaluations', 'n'], ['simulator', 'simulator'],
   ['network', 'representation'], ['optimizer', 'optimizer'], ['seed', 'seed', 'n'],
   ['last', 'at', 'n'],
 ];
@@ -75,7 +75,7 @@ class RunsPage {
     const { id, generation, generations } = run, name = pathOf(run);
     if (run.error) {
       return tr('', [name, 'name'], badge('unreadable'),
-        h('td', { class: 'why', colspan: 8, text: run.error }));
+        h('td', { class: 'why', colspan: 9, text: run.error }));
     }
     const box = h('input', {
       type: 'checkbox', value: id, checked: this.chosen.has(id), 'aria-label': `draw ${run.name}`,
@@ -85,8 +85,8 @@ class RunsPage {
       } });
     const link = h('a', { href: `/run?${new URLSearchParams({ run: id })}`, text: name });
     return tr(box, h('td', { class: 'name' }, link), badge(run.status),
-      [`${number(generation)} / ${number(generations)}`, 'n'], n(run.best), n(run.evaluations),
-      run.simulator, run.representation, run.optimizer, [String(run.seed), 'n'],
+      [`${number(generation)} / ${number(generations)}`, 'n'], n(run.best), n(run.held_out),
+      n(run.evaluations), run.simulator, run.representation, run.optimizer, [String(run.seed), 'n'],
       h('td', { class: 'n' }, ago(run.at)));
   }
 
@@ -132,7 +132,7 @@ class RunsPage {
     const keys = [...new Set(each.flatMap(Object.keys))].filter(differs);
     const rows = [
       ...keys.map((key) => [key, each.map((one) => one[key] ?? '–')]),
-      ...['best', 'generation', 'evaluations'].map((key) => [key,
+      ...['best', 'held_out', 'generation', 'evaluations'].map((key) => [key.replace('_', '-'),
         runs.map((row) => number(row[key]))]),
     ];
     fill(this.compared, table(['', ...runs.map(pathOf)],

@@ -1,0 +1,86 @@
+"""What the champion does on held-out seeds is shown next to its fitness in search."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import zswarm
+from tests.ot.assessment.test_assessed_runs import Noisy, evolved
+from zswarm.controller import HeldOut
+from zswarm.ot import cli
+from zswarm.ot.analysis import curves, figures
+from zswarm.ot.dashboard.run_index import RunIndex
+from zswarm.ot.dashboard.tail import RecordTail
+from zswarm.ot.display.progress import summary
+from zswarm.ot.logger import Result
+from zswarm.ot.report import report
+
+
+@pytest.fixture(scope="module")
+def assessed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result, HeldOut]:
+    folder, result = evolved(tmp_path_factory.mktemp("runs"), Noisy())
+    assert result.champion is not None
+    return folder, result, result.champion
+
+
+def said(*arguments: object) -> str:
+    found = CliRunner().invoke(cli.command, [str(one) for one in arguments])
+    assert found.exit_code == 0, found.output
+    return found.stdout
+
+
+def test_at_the_end_of_a_run(assessed: tuple[Path, Result, HeldOut]) -> None:
+    _, result, champion = assessed
+    line = summary(result).splitlines()[1]
+    assert line == (
+        f"held-out fitness {champion.mean:.6g} of the champion (95 %: {champion.low:.6g} to "
+        f"{champion.high:.6g}, {champion.seeds} seeds); in search {champion.in_search:.6g}"
+    )
+    assert list(result.as_object()["champion"]) == "mean low high seeds in_search".split()
+    assert len(summary(result._replace(champion=None)).splitlines()) == 3
+
+
+def test_in_lists_comparisons_and_in_python(
+    assessed: tuple[Path, Result, HeldOut],
+) -> None:
+    folder, result, champion = assessed
+    (row,) = json.loads(said("list", folder.parent, "--json"))["runs"]
+    assert row["champion"] == result.as_object()["champion"]
+    assert f"{champion.mean:.6g}" in said("list", folder.parent)
+    (group,) = json.loads(said("compare", folder, "--json"))["rows"]
+    assert group["held_out"] == champion.mean
+    assert "held-out" in said("compare", folder)
+    run = zswarm.read(folder)
+    assert run.held_out == champion
+    assert f"champion, held-out</th><td style='text-align:left'>{champion.mean:.6g}" in (
+        run._repr_html_()
+    )
+
+
+def test_in_the_dashboard(assessed: tuple[Path, Result, HeldOut]) -> None:
+    folder, _, champion = assessed
+    (row,) = RunIndex([folder.parent]).rows()
+    assert row["held_out"] == champion.mean
+    tail = RecordTail(folder)
+    assert tail.look()["state"]["held_out"] == champion.mean
+
+
+def test_in_figures_and_reports(assessed: tuple[Path, Result, HeldOut]) -> None:
+    folder, _, champion = assessed
+    run = zswarm.read(folder)
+    drawn = figures._of_one(
+        curves.series(run),
+        curves.curves({"a": [curves.series(run)]}, "generation")[0],
+        "generation",
+    )
+    level = drawn[-1]
+    assert level.label == "champion, held-out"
+    assert np.unique(level.y).tolist() == [champion.mean]
+    page = report.of_run(run, 0)
+    assert "best fitness in search" in page
+    assert f"{champion.seeds} held-out seeds" in page
+    for number in (champion.mean, champion.low, champion.high, champion.in_search):
+        assert f"{number:.6g}" in page

@@ -1,0 +1,1 @@
+"""The assessment that ends a run: candidates race on seeds that evolution never uses."""
