@@ -73,9 +73,9 @@ class Link:
                 self._meet()
             return
         if state in ("down", "deaf"):
-            world.soon(lambda: self._holder(alive=False))
+            world.at(0.0, lambda: self._holder(alive=False))
         if state == "down":
-            world.soon(lambda: self.optimizer.handle(Gone(self.server.id)))
+            world.at(0.0, lambda: self.optimizer.handle(Gone(self.server.id)))
         if state in ("down", "mute"):
             delay = world.random.choice([0.001, 0.01, 5.0])
             for question in list(self.open):

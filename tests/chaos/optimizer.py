@@ -230,10 +230,10 @@ class Optimizer(Node[events.Event]):
             machine = self.links[note.server].server.machine
             self.journal.machines[note.server] = machine
         elif note.event == RunEvent.SERVER_WRONG:
-            if note.server not in self.links:
-                self.world.fail(f"{note.server!r} is banned, and is no server")
             # It may be found out by its probe before it joins, or end before a resume.
             if note.server not in self.journal.machines:
+                if note.server not in self.links:
+                    self.world.fail(f"{note.server!r} is banned, and is no server")
                 machine = self.links[note.server].server.machine
                 self.journal.machines[note.server] = machine
             self.journal.banned[self.journal.machines[note.server]] = note.server

@@ -42,6 +42,7 @@ PROBLEMS = {
     ),
     "duel": Problem("minisim", 1, "steals", {"steps": 100, "teams": 2, "defenders": 0}),
     "emergency-exit": Problem("emergency-exit", 8, "escaped", {"steps": 1500}),
+    "epuck": Problem("epuck", 2, "neighbours", {"seconds": 20.0, "robots": 4}),
     "food-or-poison": Problem("food-or-poison", 8, "late", {"items": 500}),
     "foraging-physical": Problem(
         "foraging-physical", 2, "way", {"steps": 100, "robots": 2, "pucks": 2}

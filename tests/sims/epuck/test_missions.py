@@ -27,9 +27,9 @@ def scored(mission: str, poses: list[tuple[float, float]], steps: int = 1) -> fl
         for _ in range(steps):
             missions.score(made)
         fitness = np.zeros(1)
-        missions.judge(made, fitness, np.zeros(0))
+        missions.judge(made, fitness, np.zeros(1))
         again = np.zeros(1)
-        missions.judge(made, again, np.zeros(0))
+        missions.judge(made, again, np.zeros(1))
     assert fitness[0] == again[0]
     return float(fitness[0])
 

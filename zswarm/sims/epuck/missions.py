@@ -114,7 +114,7 @@ LINK, DISC_RADIUS = (
     0.25,
 )  # LCN: the distance that links robots, and what each covers
 ARENA_RADIUS = 1.2
-TOTAL, FIRST_CELL = range(2)  # of ``tally``
+TOTAL, HEARINGS, FIRST_CELL = range(3)  # of ``tally``
 
 
 @inline(counts=False, inner=True, copied=False)
@@ -172,7 +172,7 @@ def explore(world):
 
 
 @inline(counts=False, copied=False)
-def judge(world, fitness, metrics):  # noqa: ARG001  missions have no metrics
+def judge(world, fitness, metrics):
     """Write the score of a trial; higher is better. Further calls draw the same points."""
     mission = world.mission
     state = world.stream[0]
@@ -189,6 +189,7 @@ def judge(world, fitness, metrics):  # noqa: ARG001  missions have no metrics
     else:
         fitness[0] = world.tally[TOTAL]
     world.stream[0] = state
+    metrics[0] = world.tally[HEARINGS] / (world.steps * world.number)
 
 
 @inline(counts=False, inner=True)

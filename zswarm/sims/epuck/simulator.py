@@ -100,11 +100,13 @@ class Epuck(Teams):
         of the square's area and the circle's line to robots, weighted. lcn: m^2 that the largest
         connected group covers. cfa: 250 - 100 x the mean distance in m of the floor to robots that
         are not on black, with the published code's wrong mean; cfa-corrected: with the right one.
+    Metrics: ``neighbours``, the mean number of messages that a robot hears in a step.
     """
 
     settings_type = EpuckSettings
     settings: EpuckSettings
     actuators = "left", "right"
+    metrics = ("neighbours",)
     outputs = 2
 
     def __init__(self, settings: EpuckSettings) -> None:
@@ -138,7 +140,7 @@ class Epuck(Teams):
             contacts=np.zeros((pairs + 1, CONTACT_COLUMNS)),
             impulses=np.zeros((pairs, IMPULSE_COLUMNS)),
             groups=np.zeros(2 * number + pairs, np.int64),
-            tally=np.zeros(1 + missions.CELLS**2),
+            tally=np.zeros(missions.FIRST_CELL + missions.CELLS**2),
             counts=np.zeros(COUNTS, np.int64),
             stream=np.zeros(1, np.uint64),
         )

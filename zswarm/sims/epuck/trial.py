@@ -17,6 +17,7 @@ from zswarm.sims.epuck import missions, physics, reference_models, sensors
 from zswarm.sims.epuck.walls import square_to
 from zswarm.sims.epuck.world import (
     ANGLE,
+    HEARD,
     LEFT,
     RADIUS,
     RIGHT,
@@ -87,6 +88,8 @@ def is_free(world, robot):
 def observe(world, observations):
     """Sense, and write what the controllers of all robots see."""
     sensors.sense(world)
+    for robot in range(world.number):
+        world.tally[missions.HEARINGS] += world.robots[HEARD, robot]
     reference_models.interpret(world, observations)
 
 
