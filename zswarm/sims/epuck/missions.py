@@ -47,7 +47,6 @@ class Mission(NamedTuple):
     hearing: float  # m
     floor: tuple[Place, ...] = ()
     walls: tuple[Box, ...] = ()  # inside of the arena
-    metrics: tuple[str, ...] = ()
 
 
 STUDY_LAMP, NO_LAMP = (0.0, -1.25, 0.75, 5.0), (0.0, -1.25, 0.75, 0.0)
