@@ -18,6 +18,7 @@ QUICK = {  # target: what it runs, small
     "soak": ["benchmarks/soak.py", "--quick"],
 }
 ELSEWHERE = {  # target: what checks it
+    "fuzz": "tests/attacks/test_fuzz.py",
     "paper": "tests/benchmarks/test_paper.py",
     "kills": "the faults, with KILLS=200",
     "reference": "tests/docs/test_docs.py",

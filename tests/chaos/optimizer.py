@@ -374,7 +374,7 @@ class Optimizer(Node[events.Event]):
             return
         machine = self.links[ask.server].server.machine
         for source in set(self.workload.source[batch.rest()]) - {""}:
-            if self.journal.machines[source] == machine:
+            if self.journal.machines.get(source, source) == machine:
                 self.world.fail(f"{ask.server} verifies {source}, of its own machine")
 
     def _check_pairs(self) -> None:

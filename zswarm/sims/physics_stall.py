@@ -13,7 +13,7 @@ import numpy as np
 from zswarm.kernels.jit import float64, inline, kernel, void
 from zswarm.kernels.portable import cos, sin
 from zswarm.kernels.signatures import Float64Rows, Float64s, Int64s
-from zswarm.sims.physics import RobotWorld
+from zswarm.sims.physics import RobotWorld, directions
 from zswarm.sims.physics_kernels import ANGLE, X, Y
 
 
@@ -23,9 +23,11 @@ class StallWorld(RobotWorld):
     def start(self, poses: np.ndarray, things: np.ndarray) -> None:
         """Begin a trial at (robots, 3) float64 poses; there are no things."""
         del things
+        settings = self.settings
+        self._rays = directions(settings.view, settings.rays)  # needs the compiler
         self._linear[:] = self._angular[:] = 0
         self.inside[:] = 1
-        self._rows[: self.settings.robots, : ANGLE + 1] = poses
+        self._rows[: settings.robots, : ANGLE + 1] = poses
         self._look()
 
     def drive(self, linear: np.ndarray, angular: np.ndarray) -> None:
