@@ -442,7 +442,7 @@ def test_a_thread_that_ends_meanwhile_hides_no_leak_and_is_none(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of a test's own program, for example; and a simulator may replace one each trial."""
-    monkeypatch.setattr(simulators, "MOST", 5)
+    monkeypatch.setattr(simulators, "MOST", 7)
     ends = [threading.Event() for _ in range(10)]
     for end in ends:
         threading.Thread(target=end.wait, daemon=True).start()

@@ -35,7 +35,7 @@ from zswarm.testing.rules import BrokenRule, checking, fully_meshed, require
 __all__ = ["Speed", "check_simulator"]
 
 TRIAL_SEEDS = (0, 1, 2**63 + 5, 2**64 - 1)
-LEAST, MOST = 3, 30  # repetitions to find leaks: at least; at most, while each leaks more
+LEAST, MOST = 6, 30  # repetitions to find leaks: at least; at most, while each leaks more
 LEAK_BYTES = 4096  # smallest leak of a trial that is reported
 LATER_S = 1e6
 CLOCKS = {  # ticks per second
@@ -313,27 +313,28 @@ def _compiles(frame: FrameType | None) -> bool:
 def _check_leaks(play: Callable[[], object]) -> None:
     """Play a trial repeatedly. What is new after each one, and stays, leaks; a cache stops."""
     new: list[dict[str, set[Any]]] = []  # for each trial
-    grown: list[int] = []  # bytes
+    sizes: list[int] = []  # bytes in use after each trial
     tracing = tracemalloc.is_tracing()
     tracemalloc.start()
     gc.freeze()  # otherwise each collection would take the time of many trials
     try:
         play()  # the first trials may fill caches
         play()
-        before, size = _holds(), _traced()
+        before = _holds()
         for number in range(1, MOST + 1):
             play()
             gc.collect()
-            grown.append(_traced() - size)
+            sizes.append(_traced())
             now = _holds()
             new.append({name: found - before[name] for name, found in now.items()})
             leaks = {  # of each trial, at least
                 name: min(len(found[name] & now[name]) for found in new) for name in now
             }
-            # Of half of the trials: others may free what was there before.
-            middle = sorted(grown)[(len(grown) - 1) // 2]
-            leaks["bytes"] = max(0, middle) // LEAK_BYTES * LEAK_BYTES
-            before, size = now, _traced()
+            # The mean of the later half: other threads allocate and free, too.
+            half = number // 2
+            grown = (sizes[-1] - sizes[half - 1]) // max(1, number - half) if half else 0
+            leaks["bytes"] = max(0, grown) // LEAK_BYTES * LEAK_BYTES
+            before = now
             if number >= LEAST and not any(leaks.values()):
                 return
     finally:
