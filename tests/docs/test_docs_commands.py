@@ -73,6 +73,10 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
         "python -m zswarm.ros.simulation.node --link rospy --profile stageros --settings "
         "'{\"robots\": 2}' --seed 1 --poses poses.npy",
     ): ("needs ROS 1, and robots that answer", "tests/robots/test_packages_drive.py"),
+    ("ros.md", "cd examples/ros/stage"): (
+        "needs Stage",
+        "tests/ros/stage/test_evolution.py",
+    ),
     ("ros-files.md", "*"): (
         "needs ROS 1, which it installs",
         "tests/integration/test_ros_files_runs.py",
