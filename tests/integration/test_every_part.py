@@ -136,6 +136,7 @@ ONCE = [
     Parts("duel", "hebbian", "random", "multi-swiss"),
     Parts("xor", "neat", "neat"),
     Parts("gymnasium", "neat", "random"),
+    Parts("epuck", "feed-forward", "random"),
     Parts("pettingzoo", "neat", "neat"),
     Parts("arena", "ctrnn", "cmaes"),
     Parts("crowds", "fully-meshed", "cma-me"),  # settings differ by trial

@@ -184,7 +184,8 @@ class Outbox(msgspec.Struct, eq=False):
     queries: dict[int, OpenQuery] = {}
     _later: list[tuple[float, OpenQuery]] = []
     _deadlines: list[tuple[float, int]] = []  # of open queries, and of answered ones
-    _noted: dict[tuple[RunEvent, str], set[str]] = {}  # texts, by event and machine
+    # Names and texts, by event and machine.
+    _noted: dict[tuple[RunEvent, str], set[tuple[str, str]]] = {}
     _numbers: int = 0
 
     def number(self) -> int:
@@ -212,11 +213,13 @@ class Outbox(msgspec.Struct, eq=False):
         """Add a note."""
         self.commands.append(Note(event, server, text, count, machine))
 
-    def note_once(self, event: RunEvent, server: str, text: str, machine: str) -> None:
-        """Add a note unless there was one of this machine and text, or too many of the machine."""
-        texts = self._noted.setdefault((event, machine), set())
-        if text not in texts and len(texts) < MAX_TEXTS:
-            texts.add(text)
+    def note_once(
+        self, event: RunEvent, server: str, text: str, machine: str, name: str
+    ) -> None:
+        """Add a note unless there was one of this name and text, or too many of the machine."""
+        noted = self._noted.setdefault((event, machine), set())
+        if (name, text) not in noted and len(noted) < MAX_TEXTS:
+            noted.add((name, text))
             self.note(event, server, text, machine=machine)
 
     def later(self, delay_s: float, query: OpenQuery) -> None:

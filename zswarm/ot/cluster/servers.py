@@ -13,7 +13,7 @@ from msgspec import structs
 from zswarm.errors import LocalProtocolError
 from zswarm.ot.cluster.allotment import Allotment
 from zswarm.ot.cluster.events import OpenQuery, Outbox, Superseded
-from zswarm.ot.cluster.machines import THIS, Machines
+from zswarm.ot.cluster.machines import THIS, Machines, name_of
 from zswarm.ot.cluster.matching import Terms
 from zswarm.ot.cluster.remote_server import MOVES, Phase, RemoteServer, Standing
 from zswarm.ot.cluster.roster import Roster
@@ -346,7 +346,7 @@ class Servers(msgspec.Struct, eq=False):
         return self.by_id[name]
 
     def _note_once(self, event: RunEvent, server: RemoteServer, text: str) -> None:
-        self.out.note_once(event, server.id, text, server.machine)
+        self.out.note_once(event, server.id, text, server.machine, name_of(server.id))
 
     def end(
         self,
