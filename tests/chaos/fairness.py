@@ -57,7 +57,8 @@ class Fairness:
         for surplus in found:
             ending = [begun[slot.index] for slot in surplus.slots]
             since = self._since[surplus.name]
-            left = sum(at is not None and at < since for at in ending)
+            # Also at that very instant: a server that was stopped handles all that waits at once.
+            left = sum(at is not None and at <= since for at in ending)
             if left < min(surplus.count, missing):
                 return f"{surplus.name} keeps slots of which others have too few"
         return ""
