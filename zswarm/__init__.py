@@ -18,7 +18,7 @@ __version__ = VERSION
 
 if TYPE_CHECKING:
     from zswarm.api import connect, load, plot, problem, read, resume, run, start, study
-    from zswarm.controller import Controller, Driver
+    from zswarm.controller import Controller, Driver, HeldOut
     from zswarm.errors import (
         ConfigError,
         EvaluationError,
@@ -59,6 +59,7 @@ __all__ += [
     "Evolution",
     "Experiment",
     "Generation",
+    "HeldOut",
     "Logger",
 ]
 __all__ += ["Note", "Problem", "Result", "Run", "Started", "drawn"]
@@ -71,6 +72,7 @@ _HOME = {
     "Evolution": "ot.evolution",
     "Experiment": "experiment",
     "Generation": "ot.logger",
+    "HeldOut": "controller",
     "Logger": "ot.logger",
     "Note": "ot.notes",
     "Problem": "ot.problem",
