@@ -42,6 +42,7 @@ class Fairness:
         """
         leases = [lease for lease in table.leases.values() if not lease.failure]
         if table.draining or len(leases) < 2:
+            self._missing = 0  # whoever comes next waits from then on
             return ""
         free = sum(slot.state == "free" for slot in table.slots)
         idle = any(lease.idle(clock, LEND_S) for lease in leases)

@@ -4,8 +4,6 @@ import itertools
 from functools import partial
 from typing import NamedTuple
 
-from zswarm.errors import ZswarmError
-
 from .network import Link
 from .optimizer import Optimizer
 from .problem import Experiment, Trial
@@ -340,6 +338,8 @@ def play(seed: int) -> End:
     lab = Lab(seed)
     try:
         lab.play()
-    except ZswarmError as error:
+    except AssertionError:
+        raise
+    except Exception as error:
         lab.world.fail(repr(error))
     return lab.end()

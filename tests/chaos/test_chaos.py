@@ -8,7 +8,7 @@ import pytest
 from .planted import PLANTED
 from .schedule import play
 
-SCHEDULES, SOME, CHUNK = 300, 100, 50  # with ``make long``; with ``make test``
+SCHEDULES, SOME, CHUNK = 2000, 100, 50  # with ``make long``; with ``make test``
 FOUND_WITHIN = 100  # schedules, a planted bug
 LATER = [bug for bug in PLANTED if bug not in PLANTED[::3]]  # with ``make long``
 

@@ -145,7 +145,7 @@ class Servers(msgspec.Struct, eq=False):
 
     def leave(self) -> None:
         """Release all leases."""
-        for server in self.by_id.values():
+        for server in list(self.by_id.values()):
             if server.phase not in (Phase.IDLE, Phase.BANNED):
                 self.end(server, Phase.IDLE, release=True)
 
