@@ -67,7 +67,7 @@ def test_they_end_after_a_slot_was_killed(tmp_path: Path) -> None:
     arguments += ["--connect", server.endpoint]
     optimizer = Optimizer(tmp_path, "ot", arguments, **variable)
     try:
-        processes = launched(server.process.pid)
+        launched(server.process.pid)
         (slot,) = server.workers()
         below = psutil.Process(slot).children(recursive=True)
         assert below
