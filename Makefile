@@ -65,12 +65,12 @@ faults: $(READY)
 machines: $(READY)
 	$(BIN)/python -m pytest -m machines tests/integration/test_machines.py $(ARGS)
 
-# The real Stage, built where its sources are beside the checkout; its tests are skipped where they are not.
+# The real Stage, built where its sources are beside the checkout; its tests are skipped where they are not. So many resets: make stage RESETS=2000.
 stage: $(READY)
 	@if [ ! -e $(THIRD_PARTY)/stage-4.3.tar.xz ]; then echo "Stage is not built: no sources in $(THIRD_PARTY)"; \
 	elif ! command -v cmake g++ fluid catkin_make >/dev/null; then echo "Stage is not built: cmake, g++, fluid or catkin is missing"; \
 	else $(MAKE) --no-print-directory build/stage/ready; fi
-	$(BIN)/python -m pytest -m stage tests/ros/stage $(ARGS)
+	RESETS=$(or $(RESETS),50) $(BIN)/python -m pytest -m stage tests/ros/stage $(ARGS)
 
 # What systemd says of the units.
 units: $(READY)
