@@ -54,8 +54,7 @@ ot.commands:        BASE controller experiment kernels ot.build ot.evolution ot.
                     ot.cluster ot.commands.shared ot.dashboard ot.display ot.doctor ot.estimate
                     ot.record ot.replay ot.report ot.study plugins protocol robots robots.c
 ot.commands.shared: BASE controller evaluate experiment ot.evolution ot.logger ot.problem
-                    ot.analysis ot.cluster ot.record ot.study plugins protocol robots security
-                    session
+                    ot.cluster ot.record ot.study plugins protocol robots security session
 ot.dashboard:       BASE controller experiment ot.notes ot.analysis ot.record plugins
 ot.display:         BASE controller ot.logger
 ot.doctor:          BASE kernels ot.cluster ot.record plugins protocol security session

@@ -167,6 +167,13 @@ class Layered(vector.VectorRepresentation):
         """Return means of |difference| / range over all genes, added in gene order."""
         return self._differences(left, right, self.ranges) / self.genes
 
+    def distances_between(
+        self, genomes: Sequence[bytes], left: np.ndarray, right: np.ndarray
+    ) -> np.ndarray:
+        """See ``Representation``."""
+        found = self._differences_between(genomes, left, right, self.ranges)
+        return found / self.genes
+
     def graph(self, genome: bytes) -> Graph:
         """Return the network with the weights of its genome."""
         return of_layers(self.inputs, [table for (table,) in self.tables([genome])])
