@@ -30,7 +30,7 @@ from zswarm.sims.epuck.world import (
 from zswarm.sims.simulator import Body, Frame, Line, Rectangle
 from zswarm.sims.trial import Teams, play_many, problem
 
-MODELS = {"1.1": 1, "1.2": 2}
+MODELS = {"1.1": 1, "1.2": 2, "1.2-machine": 3}
 # Noise of wheels, proximity, light and ground, and the probability that a message is lost.
 REALITIES = {
     "design": (0.05, 0.05, 0.05, 0.05, 0.85),
@@ -67,7 +67,8 @@ class EpuckSettings(PartSettings, frozen=True):
         about("mission of the robots"),
     ] = "aggregation"
     reference_model: Annotated[
-        Literal["1.1", "1.2"], about("what controllers see: 24 inputs, or 14")
+        Literal["1.1", "1.2", "1.2-machine"],
+        about("what controllers see: 24 inputs, 14, or 15 for machines"),
     ] = "1.2"
     reality: Annotated[
         Literal["design", "pseudo", "exact"],
@@ -89,7 +90,8 @@ class Epuck(Teams):
     Observation: reference model 1.2: 0-3: proximity to the front left, back left, back right and
         front right; 4-7: light, likewise; 8: ground, 0 black, 1 white, in between grey; 9: 1 - 2 /
         (1 + e^n) for n messages heard; 10-13: attraction to neighbours, as 0-3. Model 1.1: 0-7:
-        proximity readings, 8-15: light readings, 16-18: ground, 19-23: as 9-13.
+        proximity readings, 8-15: light readings, 16-18: ground, 19-23: as 9-13. Model
+        1.2-machine: as 1.2; but 8: 0, 1, or 1/2 for grey; 9: n; 14: random, uniform in 0..1.
     Action: 0-1: left and right wheel, 0 is -12 cm/s and 1 is 12 cm/s.
     Turns: all robots at once, ten a second. A command takes effect in the next step.
     Start: places uniform in radius and angle in the disc of radius 1.2 m, headings uniform.

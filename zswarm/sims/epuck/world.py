@@ -70,7 +70,7 @@ class EpuckWorld(NamedTuple):
     mission: int
     steps: int
     number: int  # of robots
-    model: int  # reference model: 1 for 1.1, 2 for 1.2
+    model: int  # reference model: 1 for 1.1, 2 for 1.2, 3 for that of machines
     outer_walls: (
         int  # the first of ``walls``, which hide nothing because the arena is convex
     )
