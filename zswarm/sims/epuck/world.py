@@ -76,7 +76,12 @@ class EpuckWorld(NamedTuple):
     )
     free: float  # m, the radius of the disc around the middle without outer walls
     hearing: float  # m, the range of messages
-    placing: float  # m, the radius of the disc in which robots start
+    around: float  # m, the radius of the disc in which robots start
+    start: int  # the way in which they start, see ``arenas``
+    sector_from: float  # the angles between which they start
+    sector_to: float
+    spots: int  # the first discs of ``floor`` that are homes or nests
+    at_end: int  # 1 if only the last step counts
     constants: Float64s
     walls: Float64Rows
     floor: Float64Rows

@@ -20,7 +20,7 @@ from zswarm.errors import ConfigError
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.ot.commands.import_ import command as import_command
 from zswarm.ot.commands.shared import frevo_file, imported
-from zswarm.ot.commands.shared.frevo import Imported
+from zswarm.ot.commands.shared.imported import Imported
 from zswarm.ot.problem import Problem
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.writer import Record
