@@ -10,6 +10,7 @@ import argparse
 import csv
 import json
 import math
+import os
 import statistics
 import sys
 from collections.abc import Iterable, Iterator
@@ -24,8 +25,11 @@ from zswarm.nets.chocolate import encoded
 from zswarm.robots.argos import genome, machine
 
 HERE = Path(__file__).parent
-GOLDEN = HERE.parents[1] / "shared" / "golden" / "epuck"
+SHARED = Path(os.environ.get("SHARED", HERE.parents[1] / "shared"))
+GOLDEN = SHARED / "golden" / "epuck"
 RESULTS = HERE / "argos.json"
+DOCS = HERE.parent / "docs"
+BEGIN, END = "<!-- argos: made by benchmarks/argos.py -->\n", "<!-- end of argos -->"
 MISSIONS = {"gridexploration": "grid-exploration"}
 WITHIN = 0.1  # of ARGoS' mean
 BIAS, OUTPUTS = 15, [16, 17]
@@ -158,13 +162,77 @@ def kendall(results: Iterable[Result]) -> float:
             count += 1
             ties_here += here == other_here
             ties_there += there == other_there
-    return agree / math.sqrt((count - ties_here) * (count - ties_there))
+    ordered = (count - ties_here) * (count - ties_there)
+    return agree / math.sqrt(ordered) if ordered else math.nan
+
+
+def flags(row: Row) -> tuple[bool, int, str]:
+    """Return a key that sorts rows so that an interrupted comparison has some of each kind."""
+    return row.method == "random", int(row.controller.rsplit("_", 1)[1]), row.name
+
+
+def table(results: list[Result]) -> str:
+    """Return what holds, mission by mission, as Markdown."""
+    lines = [
+        "| mission | noise | controllers | means hold | median difference | Kendall's tau |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for (mission, model), group in grouped(results).items():
+        holding = sum(result.holds for result in group)
+        median = 100 * statistics.median(result.error for result in group)
+        tau = f"{kendall(group):.2f}" if len(group) > 2 else ""
+        lines.append(
+            f"| {mission} | {model} | {len(group)} | {holding} | {median:.1f} % | {tau} |"
+        )
+    return "\n".join(lines) + "\n"
+
+
+def grouped(results: Iterable[Result]) -> dict[tuple[str, str], list[Result]]:
+    """Return results by mission and model of noise."""
+    groups: dict[tuple[str, str], list[Result]] = {}
+    for result in results:
+        groups.setdefault((result.row.mission, result.row.model), []).append(result)
+    return groups
+
+
+def draw(results: list[Result], path: Path) -> None:
+    """Draw the means here against ARGoS', with 95 % intervals."""
+    import matplotlib as mpl
+
+    mpl.use("agg")
+    from matplotlib import pyplot as plt
+
+    shown = {
+        mission: [result for result in results if result.row.mission == mission]
+        for mission in ("aggregation", "foraging", "gridexploration")
+    }
+    figure, axes = plt.subplots(1, len(shown), figsize=(11, 3.7))
+    for axis, (mission, group) in zip(axes, shown.items(), strict=True):
+        for model, colour in (("design", "#0072b2"), ("pseudo", "#d55e00")):
+            some = [result for result in group if result.row.model == model]
+            runs = [max(result.row.runs, 2) for result in some]
+            there = [
+                T_95[n - 1] * result.deviation / math.sqrt(n)
+                for n, result in zip(runs, some, strict=True)
+            ]
+            here = [1.96 * result.deviation / math.sqrt(result.seeds) for result in some]
+            means = [result.row.mean for result in some], [result.mean for result in some]
+            axis.errorbar(
+                *means, here, there, ".", color=colour, linewidth=0.8, label=model
+            )
+        ends = [axis.get_xlim()[0], axis.get_xlim()[1]]
+        axis.plot(ends, ends, color="#999999", linewidth=0.8, zorder=0)
+        axis.set(title=MISSIONS.get(mission, mission), xlabel="ARGoS", ylabel="zswarm")
+        axis.legend(fontsize=8)
+    figure.tight_layout()
+    figure.savefig(path, dpi=80)
 
 
 def played(seeds: int, processes: int) -> Iterator[Result]:
     """Yield the results of all rows, and keep each as it comes."""
     kept = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {}
     waiting = [row for row in rows() if kept.get(row.name, [0])[0] != seeds]
+    waiting.sort(key=flags)
     with ProcessPoolExecutor(processes) as pool:
         for at, result in enumerate(pool.map(play, waiting, [seeds] * len(waiting))):
             numbers = [seeds, result.mean, result.deviation]
@@ -192,24 +260,22 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--known", action="store_true", help="play nothing")
+    parser.add_argument("--docs", action="store_true", help="write docs/epuck.md's part")
     options = parser.parse_args()
     found = [*(known() if options.known else played(options.seeds, options.processes))]
-    groups: dict[tuple[str, str], list[Result]] = {}
-    for result in found:
-        groups.setdefault((result.row.mission, result.row.model), []).append(result)
-    for (mission, model), results in groups.items():
-        holding = sum(result.holds for result in results)
-        median = statistics.median(result.error for result in results)
-        sys.stdout.write(
-            f"{mission:16} {model:7} {holding:3} of {len(results):3} hold, median "
-            f"{100 * median:.1f} %, tau {kendall(results):.2f}\n"
-        )
+    sys.stdout.write(table(found))
     for result in sorted(found, key=lambda one: -abs(one.z)):
         if not result.holds or abs(result.z) > 2.5:
             sys.stdout.write(
                 f"{result.row.name:50} here {result.mean:.6g}, ARGoS {result.row.mean:.6g} "
                 f"(n = {result.row.runs}), z = {result.z:.1f}, holds: {result.holds}\n"
             )
+    if options.docs:
+        draw(found, DOCS / "pictures" / "epuck-argos.png")
+        page = DOCS / "epuck.md"
+        before, rest = page.read_text().split(BEGIN)
+        _, after = rest.split(END)
+        page.write_text(before + BEGIN + "\n" + table(found) + END + after)
 
 
 if __name__ == "__main__":

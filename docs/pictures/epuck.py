@@ -1,4 +1,4 @@
-"""Draw docs/pictures/epuck-missions.png: the missions of epuck from above, with robots at the start.
+"""Draw docs/pictures/epuck-missions.png: the missions of epuck, with robots at the start.
 
 To make it anew: python docs/pictures/epuck.py
 """

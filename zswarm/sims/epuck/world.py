@@ -33,7 +33,10 @@ HEARD, HEARD_X, HEARD_Y = range(
     35, 38
 )  # messages of this step, and the sum of their vectors
 CARRIES, TOUCHES = range(38, 40)
-ROBOT_ROWS = 40
+# Of the group of robots that has a robot's number, the largest changes of impulses: in the last
+# iteration, and so far in this one.
+CHANGE, CHANGES = range(40, 42)
+ROBOT_ROWS = 42
 
 # ``walls``: boxes, a row for each.
 CENTRE_X, CENTRE_Y, WALL_COSINE, WALL_SINE, HALF_LENGTH, HALF_WIDTH, WALL_HEIGHT = range(
