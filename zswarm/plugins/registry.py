@@ -45,6 +45,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
     },
     "representation": {
         "bulk": "zswarm.nets.bulk:Bulk",
+        "chocolate": "zswarm.nets.chocolate:Chocolate",
         "ctrnn": "zswarm.nets.ctrnn:CTRNN",
         "feed-forward": "zswarm.nets.feed_forward:FeedForward",
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
