@@ -13,6 +13,7 @@ from zswarm.controller import Controller
 from zswarm.errors import ConfigError, RemoteProtocolError
 from zswarm.experiment import Experiment
 from zswarm.kernels.random import Stream, derive_seed
+from zswarm.ot.assessment import racing
 from zswarm.ot.rankings.ranking import Ranking, Round
 from zswarm.ot.workload import Workload
 from zswarm.plugins import registry as plugins
@@ -140,7 +141,10 @@ class Problem:
     def trials_at_once(self, candidates: int | None) -> int | None:
         """Return the trials in the first round of some candidates; None if that is unknown."""
         games = None if candidates is None else self.ranking.next_games(candidates, ())
-        return None if games is None else len(games) * self.experiment.problem.trials
+        trials = self.experiment.problem.trials
+        if self.experiment.assessment.racing:
+            trials = racing.rounds(trials)[0]
+        return None if games is None else len(games) * trials
 
     def played(self, workload: Workload) -> Round:
         """Return the games of a workload with the sums over their trials, added in trial order."""

@@ -126,4 +126,5 @@ class CMAES(Adapter):
 
     def _start(self, population: int, sigma: float, mean: np.ndarray) -> Any:
         seed = derive_seed(self.seed, "cmaes", self._restarts) >> 32
+        self.survivors = population // 2  # those that the mean moves to
         return self._make(mean=mean, sigma=sigma, seed=seed, population_size=population)
