@@ -59,6 +59,8 @@ def build(complete: Experiment) -> Parts:
         )
     if complete.problem.seeds == "fresh" and not optimizer.relative:
         optimizer.use_fresh_seeds()
+    if optimizer.resamples and (why := contest.unfit(problem)):
+        raise ConfigError(f"optimizer: evaluations: expected 1: {why}")
     if optimizer.candidates is not None and optimizer.candidates < simulator.participants:
         raise ConfigError(
             f"optimizer: {kind} asks for {optimizer.candidates} candidates, but a game of {name} "

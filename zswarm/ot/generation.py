@@ -3,6 +3,7 @@
 With racing the rounds are of trials, for candidates that may still survive.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -75,6 +76,23 @@ class Assessment:
         self.workload = workload
 
 
+class ResampledAssessment(Assessment):
+    """Genomes of one generation, of which those asked for again play further seeds."""
+
+    def _begin(self, games: np.ndarray | None) -> None:
+        workload = self._problem.workload(self.genomes, self.generation, games=games)
+        seen: Counter[bytes] = Counter()
+        times = []
+        for genome in self.genomes:
+            times.append(seen[genome])
+            seen[genome] += 1
+        trials = self._problem.experiment.problem.trials
+        every = self._problem.trial_seeds(self.generation, trials * (max(times) + 1))
+        times_of_games = np.array(times)[workload.participants[::trials, 0]]
+        workload.seeds = every.reshape(-1, trials)[times_of_games].ravel()
+        self._play(workload)
+
+
 class RacedAssessment(Assessment):
     """Genomes of one generation whose trials stop when they will hardly survive.
 
@@ -130,4 +148,5 @@ def assess(problem: Problem, optimizer: Optimizer, generation: int) -> Assessmen
     genomes = optimizer.ask()
     if problem.experiment.assessment.racing and optimizer.survivors:
         return RacedAssessment(problem, genomes, generation, optimizer.survivors)
-    return Assessment(problem, genomes, generation)
+    kind = ResampledAssessment if optimizer.resamples else Assessment
+    return kind(problem, genomes, generation)

@@ -106,17 +106,18 @@ class Problem:
         trials = f"{problem.trials} trial{'s' if problem.trials != 1 else ''}"
         return f"<zswarm.Problem: {problem.simulator}, {trials}; {kind}{genes}>"
 
-    def trial_seeds(self, generation: int) -> np.ndarray:
-        """Return the seeds of a generation's trials, (trials,) uint64.
+    def trial_seeds(self, generation: int, trials: int | None = None) -> np.ndarray:
+        """Return the seeds of a generation's trials, (trials,) uint64; of more if it is given.
 
         They are the simulator's own if it fixes them; else they come from the run's seed, and from
         the generation if they are to be fresh.
         """
         problem, seed = self.experiment.problem, self.experiment.seed
         fresh = (generation,) if problem.seeds == "fresh" else ()
-        seeds = None if fresh else self.simulator.fixed_seeds(problem.trials)
+        trials = problem.trials if trials is None else trials
+        seeds = None if fresh else self.simulator.fixed_seeds(trials)
         if seeds is None:
-            seeds = [derive_seed(seed, "trial", n, *fresh) for n in range(problem.trials)]
+            seeds = [derive_seed(seed, "trial", n, *fresh) for n in range(trials)]
         return np.array(seeds, np.uint64)
 
     def workload(

@@ -57,11 +57,11 @@ def evolved(out: Path, servers: FakeConnection, *overrides: str) -> tuple[Path, 
         return record.folder, result(begun(record, servers))
 
 
-def stopped(out: Path, *overrides: str) -> Path:
+def stopped(out: Path, *overrides: str, servers: FakeConnection | None = None) -> Path:
     """Evolve two generations."""
     with (
         new(out, *overrides) as record,
-        contextlib.closing(begun(record, Noisy())) as evolution,
+        contextlib.closing(begun(record, servers or Noisy())) as evolution,
     ):
         for _ in islice(evolution, 2):
             pass

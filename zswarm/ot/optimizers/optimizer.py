@@ -39,6 +39,8 @@ class Optimizer(ABC):
         survivors: how many of the genomes last asked for may survive, or count by more than being
             worse than these, if it uses the order of fitness only; None: it needs all numbers. Then
             racing may stop trials of the others, whose fitness becomes an estimate.
+        resamples: whether a genome that is asked for several times in one generation plays further
+            seeds each time, instead of the same ones.
         diverged: the first generation in which ``restore`` would have asked other genomes than
             were told, or None.
     """
@@ -52,6 +54,7 @@ class Optimizer(ABC):
     measures: Sequence[str] = ()
     candidates: int | None = None
     survivors: int | None = None
+    resamples: bool = False
     diverged: int | None = None
 
     def __init__(
