@@ -5,6 +5,7 @@ from typing import Self
 import numpy as np
 
 from zswarm.controller import HeldOut, Tracked
+from zswarm.experiment import Experiment
 from zswarm.kernels.random import derive_seed
 from zswarm.ot.assessment.interval import of_mean
 from zswarm.ot.problem import Problem
@@ -16,6 +17,12 @@ SEEDS = 100  # of each
 TRACK = "track"  # purpose of the seeds
 
 
+def generations(complete: Experiment) -> range:
+    """Return the generations of a run that are tracked."""
+    each = complete.assessment.track
+    return range(each - 1, complete.generations, each) if each else range(0)
+
+
 class Track:
     """The best of each k-th generation: one workload out, its outcomes in."""
 
@@ -25,11 +32,8 @@ class Track:
     @classmethod
     def of_run(cls, problem: Problem, record: Record) -> Self | None:
         """Return what is to be tracked of a run after its last generation, or None."""
-        complete = problem.experiment
-        if not (each := complete.assessment.track):
-            return None
-        generations = range(each - 1, complete.generations, each)
-        found = [record.best_of(generation) for generation in generations]
+        numbers = generations(problem.experiment)
+        found = [record.best_of(generation) for generation in numbers]
         best = [one for one in found if one is not None]
         return cls(problem, best) if best else None
 
@@ -38,9 +42,9 @@ class Track:
         seed = self._problem.experiment.seed
         seeds = [derive_seed(seed, TRACK, number) for number in range(SEEDS)]
         genomes = [genome for _, genome, _ in self._best]
-        generations = self._problem.experiment.generations
-        work = self._problem.workload(genomes, generations, np.array(seeds, np.uint64))
-        work.place(generations, number, first)
+        last = self._problem.experiment.generations
+        work = self._problem.workload(genomes, last, np.array(seeds, np.uint64))
+        work.place(last, number, first)
         return work
 
     def result(self, work: Workload) -> list[Tracked]:
