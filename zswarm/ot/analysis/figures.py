@@ -167,6 +167,10 @@ def _of_one(run: Series, best: Curve, axis: Axis) -> list[CurveLine]:
         CurveLine(top, best.x, best.median),
         CurveLine("population mean", x, mean, noisy=True),
     ]
+    if len(run.track):
+        numbers, middle, low, high = run.track.T
+        at = curves.positions(run, axis)[numbers.astype(int)]
+        lines.append(CurveLine("best, held-out", at, middle, (low, high)))
     if run.held_out is not None and len(best.x):
         ends = best.x[[0, -1]]
         level, low, high = (np.full(2, value) for value in run.held_out)

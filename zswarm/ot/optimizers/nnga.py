@@ -89,6 +89,8 @@ class NNGA(BaseOptimizer):
             )
         self.counts = {"elite": elite, **counts}
         self.candidates = size * settings.islands
+        if settings.islands == 1:  # several are ranked one by one
+            self.survivors = elite + counts["random"]
         # The last generation told, each ranked, best first.
         self._islands: list[list[Individual]] = []
         self._population: list[list[Individual]] = []  # generation asked for
