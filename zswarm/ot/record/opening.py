@@ -30,6 +30,7 @@ from zswarm.system.version import VERSION
 SECRET = 16  # bytes, by which servers tell the run's programs from others
 # These may change while a run is stopped.
 NOT_DECISIVE = ("generations", "assessment", "cluster", "record", "study")
+RACING = "assessment.racing"  # may not
 
 
 def new_meta(
@@ -99,7 +100,7 @@ def check(
     keys = [key for key in sorted(before | after) if before.get(key) != after.get(key)]
     raise ConfigError(
         f"{folder / EXPERIMENT}: {', '.join(keys)} changed since the run began; "
-        "only generations, [assessment], [cluster] and [record] may"
+        "only generations, [assessment] but racing, [cluster] and [record] may"
     )
 
 
@@ -135,6 +136,8 @@ def decisive(complete: Experiment) -> str:
     if complete.ranking.kind == ABSOLUTE:  # the default is not recorded
         del values["ranking"]
     kept = {key: value for key, value in values.items() if key not in NOT_DECISIVE}
+    if complete.assessment.racing:
+        kept[RACING] = True
     return json.dumps(kept, sort_keys=True)
 
 
