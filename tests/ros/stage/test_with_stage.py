@@ -141,7 +141,7 @@ def test_a_stage_that_ended_is_a_fault(
 def test_resets_at_full_speed_are_survived(
     controller: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And exact. stageros of 1.8.0, without the patch, ends after some tens of them."""
+    """And exact in lock-step. stageros of 1.8.0, without the patch, ends after some tens of them."""
     with stage_here.running(tmp_path, monkeypatch, controller, **ROOM) as stage:
         simulator = stage.in_slot(missed_limit=1.0, deadline_s=DEADLINE_S)
         worst = 0.0
@@ -151,4 +151,5 @@ def test_resets_at_full_speed_are_survived(
             simulator.step(np.full((len(simulator.task.agents), 2), 0.9, np.float32))
         simulator.close()
         assert stage.process.poll() is None
-        assert worst < 1e-3
+        # At full speed a robot may take a last velocity when it was put back: 1 step, 0.13 m.
+        assert worst < (1e-3 if controller else 0.14)
