@@ -15,6 +15,7 @@ PICTURE = Path(__file__).with_suffix(".png")
 
 
 def main() -> None:
+    """Run and draw."""
     with tempfile.TemporaryDirectory() as folder:
         run = [sys.executable, "-m", "zswarm.ot", "run", "minisim", "--servers", "local"]
         run += ["--set", "assessment.track=5", "--out", folder]
