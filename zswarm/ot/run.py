@@ -40,7 +40,7 @@ def evolve(
     stop: threading.Event,
     obey: Callable[[Cluster], None] = lambda _: None,
 ) -> Generator[Generation, None, Result]:
-    """Evolve from where the record ends to the last generation; yield each one once it is recorded.
+    """Evolve from where the record ends to the last generation; yield each one when it ended.
 
     Servers have the next generation by then: they evaluate it while the caller looks at this one.
 
@@ -191,7 +191,7 @@ class _Notebook:
                 if line := words(item):
                     self._logger.on_say(line)
             case None:
-                self._record.flush()
+                self._record.check()
 
     def _arbitrated(self, digest: bytes) -> None:
         """Record what this machine computed of the probe: a resume does not decide again."""
@@ -297,6 +297,7 @@ class _Notebook:
         """Record the end of the run."""
         record, history = self._record, self._record.history().hex()
         record.set_meta("history_hash", history)
+        record.sync()
         return Result(
             run=str(record.folder),
             generations=self._problem.experiment.generations,

@@ -12,8 +12,8 @@ from zswarm.ot.cluster.machines import Known
 from zswarm.ot.notes import RunEvent
 from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.record import statements
+from zswarm.ot.record.commits import Commits
 from zswarm.ot.record.contenders import Contender, Contenders
-from zswarm.ot.record.database import Database
 from zswarm.ot.record.history_hash import START, History
 from zswarm.ot.record.packing import Place, unpack
 from zswarm.ot.workload import Workload
@@ -32,7 +32,7 @@ class Resumed(NamedTuple):
 class Recorded:
     """Everything in a record that was finished, for the program that writes it."""
 
-    _database: Database
+    _database: Commits
     _generation: int | None
     _round: int
     _asked: bytes
