@@ -223,6 +223,7 @@ def draw(results: list[Result], path: Path) -> None:
         ends = [axis.get_xlim()[0], axis.get_xlim()[1]]
         axis.plot(ends, ends, color="#999999", linewidth=0.8, zorder=0)
         axis.set(title=MISSIONS.get(mission, mission), xlabel="ARGoS", ylabel="zswarm")
+        axis.locator_params(nbins=4)
         axis.legend(fontsize=8)
     figure.tight_layout()
     figure.savefig(path, dpi=80)
