@@ -280,7 +280,7 @@ def test_a_champion_of_launch_files_is_exported_where_its_package_is_not(
     champion = problem.controller(problem.random(1)[0], -5.5, "stage-files-01234567")
     Path(CHAMPION).write_bytes(msgspec.msgpack.encode(champion))
     monkeypatch.delenv("ZSWARM_SIMULATORS")
-    for target in targets.TARGETS:
+    for target in (name for name, one in targets.TARGETS.items() if not one.simulator):
         assert typed(CHAMPION, "--to", target, "--out", target).exit_code == 0
     same = problem.controller(champion.genome, -5.5, champion.run)
     same = msgspec.structs.replace(
