@@ -119,7 +119,7 @@ def controllers() -> dict[str, tuple[str, dict[str, Any], bytes]]:
     for each in json.loads((GOLDEN / "controllers.json").read_text()):
         genes = [genome.Gene(*link, enabled=True) for link in each["links"]]
         inputs = [*range(1, BIAS)]
-        network = genome.Network(inputs, BIAS, OUTPUTS, each["hidden"], genes)
+        network = genome.ArgosNetwork(inputs, BIAS, OUTPUTS, each["hidden"], genes)
         found[each["id"]] = ("1.2", *genome.build(network))
     for each in json.loads((GOLDEN / "fsms.json").read_text()):
         states = encoded(machine.read(each["fsm"]))

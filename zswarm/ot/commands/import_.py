@@ -28,9 +28,9 @@ def command(path: Path, out: Path, overrides: tuple[str, ...], as_json: bool) ->
       zswarm-ot import "Emergency Exit_g199 (0.46).zre"
       zswarm-ot import gen_last_1_champ --set problem.settings.mission=foraging
     """
-    from zswarm.ot.commands.shared import imported
+    from zswarm.ot.commands.shared import import_file, imported
 
-    result = imported.load(path, overrides)
+    result = import_file.load(path, overrides)
     made = imported.record(result, out)
     fitness = made.champion.fitness
     if as_json:

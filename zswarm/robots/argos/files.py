@@ -13,7 +13,14 @@ from zswarm.nets.neat import Neat
 from zswarm.nets.neat_genome import Genes
 from zswarm.nets.representation import Representation
 from zswarm.robots.argos import machine
-from zswarm.robots.argos.genome import LARGEST_ID, MODELS, OUTPUTS, SLOPE, Gene, Network
+from zswarm.robots.argos.genome import (
+    LARGEST_ID,
+    MODELS,
+    OUTPUTS,
+    SLOPE,
+    ArgosNetwork,
+    Gene,
+)
 from zswarm.robots.c.reference_steps import sha256
 from zswarm.sims.epuck.missions import MISSIONS
 from zswarm.sims.epuck.simulator import REALITIES, EpuckSettings
@@ -79,7 +86,7 @@ def files(controller: Controller, name: str) -> dict[str, str]:
     return {f"zs_{name}.txt": text, f"zs_{name}.argos": lines}
 
 
-def written(network: Network, controller: Controller) -> str:
+def written(network: ArgosNetwork, controller: Controller) -> str:
     """Return the genome file of a network."""
     rows = ["/* " + _about(controller) + " */", "genomestart 1", "trait 1" + " 0" * 8]
     places = {network.bias: "1 3"}
@@ -122,7 +129,7 @@ def _lines(settings: EpuckSettings, parameters: str, about: str) -> str:
     )
 
 
-def _network(network: Representation, genome: bytes) -> Network:
+def _network(network: Representation, genome: bytes) -> ArgosNetwork:
     if network.inputs not in MODELS or network.outputs != OUTPUTS:
         raise ConfigError(
             f"--to argos: expected 14 or 24 inputs and 2 outputs, not {network.inputs} and "
@@ -137,7 +144,7 @@ def _network(network: Representation, genome: bytes) -> Network:
     )
 
 
-def _of_layer(network: FeedForward, genome: bytes) -> Network:
+def _of_layer(network: FeedForward, genome: bytes) -> ArgosNetwork:
     settings = network.settings
     if settings.hidden or settings.output_activation != "sigmoid":
         raise ConfigError(
@@ -152,10 +159,10 @@ def _of_layer(network: FeedForward, genome: bytes) -> Network:
         for target, row in zip(outputs, table, strict=True)
         for source, weight in zip(sensors, row, strict=True)
     ]
-    return Network(sensors[:-1], sensors[-1], outputs, [], genes)
+    return ArgosNetwork(sensors[:-1], sensors[-1], outputs, [], genes)
 
 
-def _of_neat(network: Neat, genome: bytes) -> Network:
+def _of_neat(network: Neat, genome: bytes) -> ArgosNetwork:
     if not network.settings.synchronous:
         raise ConfigError(
             "--to argos: expected neat with synchronous = true: NEAT's networks in ARGoS decide so"
@@ -184,7 +191,7 @@ def _of_neat(network: Neat, genome: bytes) -> Network:
         for id_, bias, _ in nodes.tolist()
         if bias
     ]
-    return Network(sensors[:-1], sensors[-1], outputs, hidden, genes)
+    return ArgosNetwork(sensors[:-1], sensors[-1], outputs, hidden, genes)
 
 
 def _numbered(network: Representation) -> tuple[list[int], list[int]]:

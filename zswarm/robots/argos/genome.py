@@ -36,7 +36,7 @@ class Gene(NamedTuple):
     enabled: bool
 
 
-class Network(NamedTuple):
+class ArgosNetwork(NamedTuple):
     """A network: its nodes by their numbers in the file, and its genes."""
 
     inputs: list[int]
@@ -56,7 +56,7 @@ class Built(NamedTuple):
 # ---- reading
 
 
-def read(text: str) -> Network:
+def read(text: str) -> ArgosNetwork:
     """Return the network of a file.
 
     Raises:
@@ -138,7 +138,7 @@ def _integers(fields: list[str], count: int, line: int) -> list[int]:
     return numbers
 
 
-def _network(places: dict[int, int], genes: list[Gene]) -> Network:
+def _network(places: dict[int, int], genes: list[Gene]) -> ArgosNetwork:
     """Check that a network is one of an e-puck."""
     of = [
         [node for node, place in places.items() if place == each]
@@ -152,7 +152,7 @@ def _network(places: dict[int, int], genes: list[Gene]) -> Network:
             f"its network has {len(inputs)} inputs, {len(biases)} bias and {len(outputs)} outputs; "
             "expected 14 inputs (reference model 1.2) or 24 (1.1), then a bias, and 2 outputs"
         )
-    return Network(inputs, biases[0], outputs, hidden, genes)
+    return ArgosNetwork(inputs, biases[0], outputs, hidden, genes)
 
 
 def _error(line: int, text: str) -> ConfigError:
@@ -162,7 +162,7 @@ def _error(line: int, text: str) -> ConfigError:
 # ---- as a network of zswarm
 
 
-def build(network: Network) -> Built:
+def build(network: ArgosNetwork) -> Built:
     """Return a network as a representation and its genome.
 
     It is ``feed-forward`` if it has neither hidden nodes nor links between outputs, else ``neat``.
@@ -180,7 +180,7 @@ def build(network: Network) -> Built:
     return Built({"kind": "feed-forward", **settings}, weights.tobytes())
 
 
-def _neat(network: Network) -> Built:
+def _neat(network: ArgosNetwork) -> Built:
     first = len(network.inputs) + 1
     neurons = [*network.outputs, *network.hidden]
     # Hidden nodes keep their numbers if these are above those of inputs and outputs.

@@ -20,7 +20,7 @@ Box = tuple[float, float, float, float, float, float]
 IN_AREA, IN_RADIUS, OFF_SPOTS = range(3)
 
 
-class Arena(NamedTuple):
+class Grounds(NamedTuple):
     """An arena without its floor.
 
     Attributes:
@@ -46,7 +46,7 @@ class Shape(NamedTuple):
         first_half: angle at which the half begins in which robots start on one side.
     """
 
-    arena: Arena
+    arena: Grounds
     nests: tuple[Spot, ...]
     sources: tuple[Spot, ...]
     homes: tuple[Spot, ...]
@@ -78,7 +78,7 @@ def wall_rows(boxes: tuple[Box, ...]) -> np.ndarray:
 
 
 # The dodecagon of the published files: walls of .01 x .66 x .08 m, coordinates rounded as there.
-DODECAGON = Arena(
+DODECAGON = Grounds(
     tuple(
         (x, y, 0.005, 0.33, 0.08, degrees)
         for x, y, degrees in (
@@ -102,7 +102,7 @@ MARGIN = 0.001  # m
 
 def _polygon(
     side: float, inner: float, around: float, degrees: tuple[float, ...]
-) -> Arena:
+) -> Grounds:
     """Return the arena of a regular polygon.
 
     Args:
@@ -118,7 +118,7 @@ def _polygon(
             cosines.tolist(), sines.tolist(), degrees, strict=True
         )
     )
-    return Arena(walls, inner - MARGIN, around + WALL[0], around)
+    return Grounds(walls, inner - MARGIN, around + WALL[0], around)
 
 
 def _obstacles(length: float, *places: tuple[float, float, float]) -> tuple[Box, ...]:

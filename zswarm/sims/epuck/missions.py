@@ -19,8 +19,8 @@ from zswarm.sims.epuck.arenas import (
     IN_AREA,
     IN_RADIUS,
     THIRD,
-    Arena,
     Box,
+    Grounds,
     Place,
     disc,
     rectangle,
@@ -58,7 +58,7 @@ class Mission(NamedTuple):
     floor: tuple[Place, ...] = ()
     walls: tuple[Box, ...] = ()
     robots: int = 20
-    arena: Arena = DODECAGON
+    arena: Grounds = DODECAGON
     start: int = IN_AREA
     sector: tuple[float, float] = (0.0, 2.0 * PI)
     score: str = ""

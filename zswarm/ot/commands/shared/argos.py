@@ -9,7 +9,7 @@ import numpy as np
 from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.nets.chocolate import encoded
-from zswarm.ot.commands.shared.imported import Result, play
+from zswarm.ot.commands.shared.imported import ImportedFile, play
 from zswarm.ot.problem import Problem
 from zswarm.protocol import keys
 from zswarm.robots.argos import genome, machine
@@ -37,7 +37,7 @@ def is_controller(body: bytes) -> bool:
     return begin[:1] in ([b"/*"], [b"genomestart"]) or machine.BEGIN.encode() in begin
 
 
-def read(path: Path, body: bytes, overrides: Sequence[str]) -> Result:
+def read(path: Path, body: bytes, overrides: Sequence[str]) -> ImportedFile:
     """Return a controller from the content of a file, with an experiment that can go on from it.
 
     Raises:
@@ -81,7 +81,7 @@ def read(path: Path, body: bytes, overrides: Sequence[str]) -> Result:
     problem = Problem(complete)
     fitness = np.array([play(problem, found)])
     source = clean(f"{path.name}: {what} of ARGoS")
-    return Result(complete, 0, [found], fitness, source, [])
+    return ImportedFile(complete, 0, [found], fitness, source, [])
 
 
 def _options(text: str) -> str:

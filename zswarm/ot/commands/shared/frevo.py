@@ -13,7 +13,7 @@ import numpy as np
 from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.ot.commands.shared import frevo_file as file
-from zswarm.ot.commands.shared.imported import Result
+from zswarm.ot.commands.shared.imported import ImportedFile
 from zswarm.ot.problem import Problem
 from zswarm.protocol import keys
 from zswarm.system.text import clean
@@ -50,7 +50,7 @@ METHOD_SETTINGS = {
 }
 
 
-def read(path: Path, body: bytes) -> Result:
+def read(path: Path, body: bytes) -> ImportedFile:
     """Return a population from the content of a file.
 
     Raises:
@@ -104,7 +104,7 @@ def read(path: Path, body: bytes) -> Result:
     method = root.find("method").get("class", "?")  # type: ignore[union-attr]  # _optimizer checked it
     source = clean(f"{path.name}: generation {generation} of FREVO's {method}")
     genomes = [net.genome for net in nets]
-    return Result(complete, generation, genomes, fitness, source, notes)
+    return ImportedFile(complete, generation, genomes, fitness, source, notes)
 
 
 def _problem(root: Element) -> dict[str, Any]:

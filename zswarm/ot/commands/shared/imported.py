@@ -7,18 +7,15 @@ import numpy as np
 
 from zswarm import evaluate
 from zswarm.controller import Controller
-from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.problem import Problem
 from zswarm.ot.record.writer import Record
 from zswarm.plugins.version_hash import version_hash
-from zswarm.system.text import clean
 
-MAX_BYTES = 64 << 20
 MAX_STEPS = 100_000  # of all trials, to play the champion
 
 
-class Result(NamedTuple):
+class ImportedFile(NamedTuple):
     """The content of a file.
 
     Attributes:
@@ -45,33 +42,7 @@ class Imported(NamedTuple):
     played: float | None  # the champion's fitness here; None: it was not played
 
 
-def load(path: Path, overrides: tuple[str, ...] = ()) -> Result:
-    """Read a file: a result of FREVO, or a controller of ARGoS.
-
-    Args:
-        overrides: ``a.b=value``, of the experiment around a controller of ARGoS.
-
-    Raises:
-        ConfigError: it cannot be read, is damaged, or is of a problem or a kind of controller that
-            zswarm does not have.
-    """
-    from zswarm.ot.commands.shared import argos, frevo
-
-    where = clean(str(path))
-    body = _body(path)
-    try:
-        if argos.is_controller(body):
-            return argos.read(path, body, overrides)
-        if overrides:
-            raise ConfigError(
-                "--set is for controllers of ARGoS, which have no experiment"
-            )
-        return frevo.read(path, body)
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
-
-
-def record(result: Result, out: Path) -> Imported:
+def record(result: ImportedFile, out: Path) -> Imported:
     """Make a run's folder, with the population as generation 0, and play the champion to compare.
 
     Raises:
@@ -103,16 +74,3 @@ def play(problem: Problem, genome: bytes) -> float:
         problem.simulator, problem.representation, *trials
     ).fitness
     return float(problem.total(work)[0])
-
-
-def _body(path: Path) -> bytes:
-    where = clean(str(path))
-    try:
-        with path.open("rb") as opened:
-            body = opened.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ConfigError(f"{where}: cannot be read: {reason}") from None
-    if len(body) > MAX_BYTES:
-        raise ConfigError(f"{where}: too large: expected at most {MAX_BYTES >> 20} MiB")
-    return body
