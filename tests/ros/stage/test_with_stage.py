@@ -141,7 +141,7 @@ def test_a_stage_that_ended_is_a_fault(
 def test_resets_at_full_speed_are_survived(
     controller: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And exact in lock-step. stageros of 1.8.0, without the patch, ends after some tens of them."""
+    """Exact in lock-step. stageros 1.8.0, without the patch, ends after some tens of them."""
     with stage_here.running(tmp_path, monkeypatch, controller, **ROOM) as stage:
         simulator = stage.in_slot(missed_limit=1.0, deadline_s=DEADLINE_S)
         worst = 0.0
