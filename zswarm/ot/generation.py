@@ -25,6 +25,11 @@ class Assessment:
         self._rounds: list[Round] = []
         self._begin(problem.ranking.next_games(len(genomes), ()))
 
+    @property
+    def trials(self) -> int:
+        """The number of trials of all rounds so far."""
+        return sum(len(workload.seeds) for workload in self._workloads)
+
     def advance(self) -> bool:
         """Begin the next round when all of this one is counted; return False if there is none."""
         self._rounds.append(self._problem.played(self.workload))
@@ -63,6 +68,6 @@ class Assessment:
         workload = self._problem.workload(self.genomes, self.generation, games=games)
         workload.generation = self.generation
         workload.round = len(self._workloads)
-        workload.first = int(sum(len(earlier.seeds) for earlier in self._workloads))
+        workload.first = self.trials
         self._workloads.append(workload)
         self.workload = workload

@@ -23,15 +23,16 @@ def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
     together: dict[str, list[Run]] = {}
     settings: dict[str, dict[str, Any]] = {}
     for run in runs:
-        flat = _flat(run.experiment)
-        key = json.dumps(flat, sort_keys=True)
+        values = flat(run.experiment)
+        key = json.dumps(values, sort_keys=True)
         together.setdefault(key, []).append(run)
-        settings[key] = flat
+        settings[key] = values
     differing = _differing(list(settings.values()))
     short = len(together) > 1 and len(differing) <= IN_LABEL
     named: dict[str, list[Run]] = {}
     for key, members in together.items():
-        labels = [
+        chosen = {run.experiment.label for run in members} - {""}
+        labels = sorted(chosen)[:1] or [
             _label(name, settings[key][name], differing)
             for name in differing
             if short and name in settings[key]
@@ -45,7 +46,7 @@ def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
     return named
 
 
-def _flat(complete: Experiment) -> dict[str, Any]:
+def flat(complete: Experiment) -> dict[str, Any]:
     """Return the settings that repeats have in common, by their keys in an experiment file."""
     values = msgspec.to_builtins(complete)
     flat = {part: values[part]["kind"] for part in PARTS}

@@ -67,10 +67,12 @@ def command(
         loaded = options.with_cluster(experiment.load(path, [*overrides, *more]), cluster)
     errors = options.blamed(overrides, path)
     with playing.figures() as folders, Connection(loaded.cluster) as connection, errors:
-        if loaded.study.runs() > 1 or loaded.study.settings() != [{}]:
+        if loaded.study.runs() > 1 or loaded.study.varies():
+            from zswarm.ot.study import effort_table
             from zswarm.ot.study.study import Study
 
             with Study.create(loaded, str(path), out) as study:
+                effort_table.announce(loaded, study.cells, study.experiment.study.repeat)
                 playing.play(
                     study,
                     connection,

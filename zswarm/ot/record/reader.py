@@ -72,8 +72,8 @@ class Run:
     def experiment(self) -> Experiment:
         """The experiment with every default; no plug-in is imported, and texts are safe to show.
 
-        It is as the run began, except for ``generations``, ``[assessment]`` and ``[cluster]``,
-        which are read from the file.
+        It is as the run began, except for ``generations``, ``label``, ``[assessment]``, ``[stop]``
+        and ``[cluster]``, which are read from the file.
 
         Raises:
             ConfigError: the file or the record is damaged.
@@ -87,6 +87,12 @@ class Run:
                 for name, part in parts.items()
             },
             "generations": file.generations,
+            "stop": {
+                key: value
+                for key, value in msgspec.to_builtins(file.stop).items()
+                if value is not None
+            },
+            "label": clean(file.label),
             "assessment": msgspec.to_builtins(file.assessment),
             "cluster": clean_all(msgspec.to_builtins(file.cluster)),
         }
@@ -235,7 +241,7 @@ class Run:
         try:
             return trials_of(batches, self.experiment.problem.trials, self._metric_names)
         except ValueError:
-            what = f"outcomes of generation {generation} do not fit together"
+            what = f"outcomes of generation {generation + 1} do not fit together"
             raise self._damaged(what) from None
 
     def champion(self) -> Controller | None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from zswarm.ot.analysis.curves import Spread, spread
 from zswarm.ot.logger import Logger, Result
-from zswarm.ot.study.plan import Planned, first_of_each, label
+from zswarm.ot.study.plan import Planned, labels
 
 
 class RunEnded(NamedTuple):
@@ -77,13 +77,12 @@ def summarize(
 ) -> StudyOutcome:
     """Summarize the runs of a study by setting."""
     finished = [one for one in ended if one.result is not None]
-    settings = [one.settings for one in first_of_each(planned)]
     by_setting: dict[str, list[RunEnded]] = {}
     for one in finished:
         by_setting.setdefault(repr(one.planned.settings), []).append(one)  # 1 is not 1.0
     summaries = [
-        _summary(each, label(each, settings), by_setting.get(repr(each), []))
-        for each in settings
+        _summary(one.settings, name, by_setting.get(repr(one.settings), []))
+        for name, one in labels(planned)
     ]
     return StudyOutcome(
         study,
