@@ -93,7 +93,12 @@ GIVEN = {
     "robots.md": "zswarm-ot run turtlebot-exit --servers local --set generations=2",
 }
 # Instead of what a page says, what is so here.
-HERE = {"ROUTER": "127.0.0.1", "--repeat 20": "--repeat 2"}
+HERE = {
+    "ROUTER": "127.0.0.1",
+    "--repeat 20": "--repeat 2",
+    "run epuck-aggregation": "run epuck-aggregation --set generations=1 "
+    "--set optimizer.population=4 --set problem.trials=1 --set assessment.budget=0",
+}
 
 SHELL = r"""
 set -e -o pipefail

@@ -292,14 +292,15 @@ def test_the_compared_trials_include_moves_blocks_and_escapes() -> None:
     assert 0 < counts["all out"] < 12
 
 
+SHORT: dict[str, dict[str, Any]] = {"epuck": {"robots": 4, "seconds": 5.0}}
+
+
 @pytest.mark.parametrize("name", playable(plugins.names("simulator")))
 def test_every_simulator_keeps_the_contract(name: str) -> None:
     """Simulators with a setting for steps are tested with 100 steps."""
     simulator_class = plugins.load("simulator", name)
-    check_simulator(
-        simulator_class,
-        {"steps": 100} if hasattr(simulator_class.settings_type, "steps") else {},
-    )
+    steps = hasattr(simulator_class.settings_type, "steps")
+    check_simulator(simulator_class, {"steps": 100} if steps else SHORT.get(name))
 
 
 @pytest.mark.parametrize("settings", UNUSUAL[1:])

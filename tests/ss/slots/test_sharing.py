@@ -295,10 +295,11 @@ def test_servers_of_one_slot_do_not_all_begin_with_the_same_user() -> None:
         lab.working.add(("bob", "run"))
         lab.wait(5.0)
     assert 20 <= sum(lab.of_user("bob") for lab in labs) <= 44
-    for lab in labs:
-        lab.wait(10 * TURN_S)
-    of_bob = sum(lab.held["bob", "run"] for lab in labs)
-    share = of_bob / sum(lab.held.total() for lab in labs)
+    some = labs[:16]
+    for lab in some:
+        lab.wait(6 * TURN_S)
+    of_bob = sum(lab.held["bob", "run"] for lab in some)
+    share = of_bob / sum(lab.held.total() for lab in some)
     assert 0.4 < share < 0.6
 
 
