@@ -324,6 +324,9 @@ class _Notebook:
             champion=self._held_out,
             assessment_hash=self._hash,
             history_version=HISTORY_VERSION,
+            trials=1
+            if self._optimizer.relative
+            else self._problem.experiment.problem.trials,
             **record.counts(),
         )
 

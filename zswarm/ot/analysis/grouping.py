@@ -6,8 +6,10 @@ from typing import Any
 
 import msgspec
 
+from zswarm.errors import ConfigError
 from zswarm.experiment import PARTS, Experiment
 from zswarm.ot.record.reader import Run
+from zswarm.system.text import clean
 
 IN_LABEL = 3  # settings; if more differ, groups have the experiments' names
 KIND_OF = {"problem.settings": "problem.simulator", **{part: part for part in PARTS}}
@@ -44,6 +46,27 @@ def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
             label += "'"
         named[label] = members
     return named
+
+
+def renamed(found: dict[str, list[Run]], labels: Sequence[str]) -> dict[str, list[Run]]:
+    """Return groups with other names.
+
+    Args:
+        labels: such as ``nnga=NNGA``; the order of the names is that of the groups.
+
+    Raises:
+        ConfigError: no such group, or two of one name.
+    """
+    chosen = dict(label.rpartition("=")[::2] for label in labels)
+    if unknown := sorted(set(chosen) - set(found)):
+        known = "; ".join(clean(group) for group in found)
+        raise ConfigError(
+            f"--label {clean(unknown[0])}: no such group; there are: {known}"
+        )
+    names = [clean(chosen.get(group, group)) for group in found]
+    if len(set(names)) < len(names):
+        raise ConfigError("--label: two groups would have the same name")
+    return dict(zip(names, found.values(), strict=True))
 
 
 def flat(complete: Experiment) -> dict[str, Any]:

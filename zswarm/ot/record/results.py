@@ -44,21 +44,20 @@ def result_after(folder: Path, complete: Experiment) -> Result | None:
     except ConfigError:
         return None
     last = history[generations - 1]
+    whole = last is history[-1]
     return Result(
         str(folder),
         generations,
         math.nan if last["best"] is None else last["best"],
         last["evaluations"],
         sum(count or 0 for count in counts),
-        run.history_hash or "" if last is history[-1] else "",
+        run.history_hash or "" if whole else "",
         0.0,
         faulted,
         doubtful,
         run.relative,
         run.history_version,
-        *(
-            ()
-            if last is not history[-1]
-            else (run.held_out, run.meta.get("assessment_hash", ""))
-        ),
+        champion=run.held_out if whole else None,
+        assessment_hash=run.meta.get("assessment_hash", "") if whole else "",
+        trials=1 if run.relative else run.experiment.problem.trials,
     )

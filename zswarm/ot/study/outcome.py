@@ -28,6 +28,7 @@ class Summary(NamedTuple):
     fitness: Spread
     evaluations: int
     held_out: float | None  # median of the champions' means on held-out seeds
+    trials: int = 1  # of a candidate: fitness is their sum
 
     def numbers(self) -> dict[str, Any]:
         """Return what is reported to programs."""
@@ -105,4 +106,7 @@ def _summary(settings: dict[str, Any], words: str, ended: Sequence[RunEnded]) ->
     champions = [result.champion for result in results if result.champion is not None]
     means = [one.mean for one in champions if one.mean is not None]
     held_out = float(np.median(means)) if means else None
-    return Summary(settings, words, len(results), spread(best), evaluations, held_out)
+    trials = results[0].trials if results else 1
+    return Summary(
+        settings, words, len(results), spread(best), evaluations, held_out, trials
+    )
