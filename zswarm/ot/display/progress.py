@@ -31,7 +31,7 @@ class PlainDisplay(Logger):
 
     def on_end(self, result: Result | None) -> None:
         if result is not None:
-            echo(summary(result), sys.stdout)
+            echo(f"{summary(result)}\n{next_steps(result.run)}", sys.stdout)
 
 
 class JsonDisplay(PlainDisplay):
@@ -139,6 +139,14 @@ def summary(result: Result) -> str:
         f"{held_out(result.champion, result.trials)}"
         f"history {', '.join([*flaws(result), result.history_hash])}\n"
         f"run     {result.run}"
+    )
+
+
+def next_steps(run: str) -> str:
+    """Return commands that show what a run found."""
+    return (
+        f"next    zswarm-ot replay {run}\n        zswarm-ot evaluate {run}\n"
+        f"        zswarm-ot report {run}"
     )
 
 
