@@ -28,7 +28,7 @@ class Assessment:
     @property
     def trials(self) -> int:
         """The number of trials of all rounds so far."""
-        return sum(len(workload.seeds) for workload in self._workloads)
+        return int(sum(len(workload.seeds) for workload in self._workloads))
 
     def advance(self) -> bool:
         """Begin the next round when all of this one is counted; return False if there is none."""

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator
+from contextlib import AbstractContextManager
 
 from msgspec import structs
 
@@ -57,25 +58,13 @@ def evolve(
     notebook = _Notebook(parts, record, logger)
     first = notebook.resume(connection)
     last = first if notebook.why else problem.experiment.generations
-    leased = connection.cluster(
-        problem,
-        run=notebook.run_id,
-        program=RunProgram(record.meta("epoch"), record.meta("secret")),
-        slots=problem.trials_at_once(optimizer.candidates) or messages.MAX_SLOTS,
-        probe=notebook.probe,
-        known=notebook.known(),
-        say=logger.on_say,
-        stop=stop,
-        taken_over=record.taken_over,
-    )
-    with leased as cluster:
+    with notebook.leased(connection, stop) as cluster:
         for early in connection.wait(cluster):
             notebook.take(early)
         if first < last:
             assessment = notebook.begin(first)
             items = cluster.evaluate(assessment.workload)
         for generation in range(first, last):
-            begun = time.monotonic()
             notebook.follow(items, assessment.workload)
             while assessment.advance():
                 record.begin(generation, assessment.workload)
@@ -85,15 +74,15 @@ def evolve(
                 notebook.follow(items, assessment.workload)
             ended = assessment
             state = notebook.tell(ended)
-            more = generation + 1 < last and not notebook.ends(ended, begun)
+            more = generation + 1 < last and not notebook.ends(ended)
             if more:
                 # Servers have work while this generation is recorded.
                 assessment = Assessment(problem, optimizer.ask(), generation + 1)
                 items = cluster.evaluate(assessment.workload)
             yield notebook.finish(ended, state, cluster)
+            obey(cluster)
             if not more:
                 break
-            obey(cluster)
             record.begin(generation + 1, assessment.workload)
         notebook.end(cluster, obey)
     return notebook.result(time.monotonic() - begin)
@@ -109,6 +98,7 @@ class _Notebook:
         self._held_out: HeldOut | None = None  # fitness of the champion
         self._hash = ""  # of the assessment
         self.why = ""  # the run ends before its last generation
+        self._since = time.monotonic()  # the last generation ended, or the program began
         self.run_id: str = record.meta("run_id")
         self.probe: bytes = record.meta("probe") or b""
 
@@ -204,13 +194,31 @@ class _Notebook:
             case None:
                 self._record.flush()
 
-    def ends(self, ended: Assessment, begun: float) -> bool:
+    def leased(
+        self, connection: Connection, stop: threading.Event
+    ) -> AbstractContextManager[Cluster]:
+        """Ask for the slots that evaluate the run."""
+        problem, optimizer, record = self._problem, self._optimizer, self._record
+        return connection.cluster(
+            problem,
+            run=self.run_id,
+            program=RunProgram(record.meta("epoch"), record.meta("secret")),
+            slots=problem.trials_at_once(optimizer.candidates) or messages.MAX_SLOTS,
+            probe=self.probe,
+            known=self.known(),
+            say=self._logger.on_say,
+            stop=stop,
+            taken_over=record.taken_over,
+        )
+
+    def ends(self, ended: Assessment) -> bool:
         """Return whether the run ends after a generation that was told."""
+        before, self._since = self._since, time.monotonic()
         spent = Spent(
             self._optimizer.best()[1],
             len(ended.genomes),
             ended.trials,
-            time.monotonic() - begun,
+            self._since - before,
         )
         self._watch.take(spent)
         self.why = self._watch.reason()

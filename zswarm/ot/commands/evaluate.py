@@ -1,7 +1,7 @@
 """``zswarm-ot evaluate``: play a champion on seeds that it was not evolved on."""
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
@@ -12,6 +12,10 @@ from zswarm.ot.commands.shared import options, suggestions
 from zswarm.ot.display import tables
 from zswarm.system.format import plural
 from zswarm.system.text import clean
+
+if TYPE_CHECKING:
+    from zswarm.controller import Controller
+    from zswarm.ot.replay.held_out import HeldOutResult
 
 MENU = ("Results", 3)
 LABEL = 16  # columns
@@ -97,17 +101,30 @@ def command(
     played = held_out.play(controller, trials, seed or 0, opponent)
     fitness, metrics = played.fitness_summary(), played.metric_means()
     if csv:
-        from zswarm.ot.analysis import csv as spreadsheet
-
-        columns = zip(played.fitness.tolist(), *played.metrics.T.tolist(), strict=True)
-        rows = [[trial, *row] for trial, row in enumerate(columns)]
-        spreadsheet.save(csv, ["trial", "fitness", *played.metric_names], rows)
+        _save(csv, played)
     game = played.score() if played.results.shape[1] > 1 else {}
     if as_json:
         tables.print_json({"trials": trials, **fitness, **game, "metrics": metrics})
         return
-    if csv == "-":
-        return
+    if csv != "-":
+        _show(played, controller, opponent)
+
+
+def _save(csv: str, played: "HeldOutResult") -> None:
+    """Write a row for each trial."""
+    from zswarm.ot.analysis import csv as spreadsheet
+
+    columns = zip(played.fitness.tolist(), *played.metrics.T.tolist(), strict=True)
+    rows = [[trial, *row] for trial, row in enumerate(columns)]
+    spreadsheet.save(csv, ["trial", "fitness", *played.metric_names], rows)
+
+
+def _show(
+    played: "HeldOutResult", controller: "Controller", opponent: "Controller | None"
+) -> None:
+    """Print what a champion did."""
+    fitness, trials = played.fitness_summary(), len(played.fitness)
+    game = played.score() if played.results.shape[1] > 1 else {}
     same = played.all_the_same()
     tables.paragraph(
         f"{clean(controller.simulator)}, champion of {clean(controller.run)} (fitness "
@@ -121,7 +138,7 @@ def command(
         tables.line(f"{'against':{LABEL}}{name}: {counts}")
     quartiles = " / ".join(f"{fitness[key]:.6g}" for key in ("q25", "median", "q75"))
     tables.line(f"{'fitness':{LABEL}}mean {fitness['mean']:.6g}, quartiles {quartiles}")
-    for name, mean in metrics.items():
+    for name, mean in played.metric_means().items():
         tables.line(f"{name:{LABEL}}mean {mean:.6g}")
 
 

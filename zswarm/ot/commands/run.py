@@ -67,13 +67,8 @@ def command(
     from zswarm.ot.display.progress import display
 
     path = experiment.find(name)
-    given = {
-        "seed": seed,
-        "generations": generations,
-        "optimizer.population": population,
-        "problem.trials": trials,
-        "study.repeat": repeat,
-    }
+    given = {"seed": seed, "generations": generations, "study.repeat": repeat}
+    given |= {"optimizer.population": population, "problem.trials": trials}
     more = [f"{key}={value}" for key, value in given.items() if value is not None]
     with options.blamed(overrides, path):
         loaded = options.with_cluster(experiment.load(path, [*overrides, *more]), cluster)

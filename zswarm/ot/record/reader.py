@@ -72,8 +72,7 @@ class Run:
     def experiment(self) -> Experiment:
         """The experiment with every default; no plug-in is imported, and texts are safe to show.
 
-        It is as the run began, except for ``generations``, ``label``, ``[assessment]``, ``[stop]``
-        and ``[cluster]``, which are read from the file.
+        It is as the run began, except for what may change, which is read from the file.
 
         Raises:
             ConfigError: the file or the record is damaged.
@@ -87,11 +86,7 @@ class Run:
                 for name, part in parts.items()
             },
             "generations": file.generations,
-            "stop": {
-                key: value
-                for key, value in msgspec.to_builtins(file.stop).items()
-                if value is not None
-            },
+            "stop": experiment.to_mapping(file).get("stop", {}),
             "label": clean(file.label),
             "assessment": msgspec.to_builtins(file.assessment),
             "cluster": clean_all(msgspec.to_builtins(file.cluster)),
