@@ -154,7 +154,7 @@ build/vmas/ready: pyproject.toml Makefile
 build/ros2/ready: Makefile
 	$(PYTHON) -m venv build/ros2
 	build/ros2/bin/python -m pip install --quiet --disable-pip-version-check 'ros-kilted-rclpy[fastrtps]==9.1.2' \
-	    ros-kilted-geometry-msgs==5.5.1 ros-kilted-sensor-msgs==5.5.1 ros-kilted-nav-msgs==5.5.1 ros-kilted-rosgraph-msgs==2.3.0 \
+	    ros-kilted-geometry-msgs==5.5.1 ros-kilted-sensor-msgs==5.5.1 ros-kilted-nav-msgs==5.5.1 ros-kilted-rosgraph-msgs==2.3.0 ros-kilted-std-srvs==5.5.1 \
 	    || { rm -rf build/ros2; exit 1; }
 	@touch $@
 

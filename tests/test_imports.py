@@ -37,7 +37,7 @@ sims.foreign:       BASE plugins sims
 experiment:         BASE plugins protocol
 evaluate:           BASE kernels nets plugins protocol sims
 probe:              evaluate kernels nets protocol sims
-controller:         BASE nets plugins
+controller:         BASE nets plugins sims
 security:           BASE protocol
 session:            errors protocol security system
 daemon:             BASE security session

@@ -11,6 +11,7 @@ from msgspec import Meta
 from zswarm.config.decode import convert
 from zswarm.errors import ConfigError
 from zswarm.plugins import registry as plugins
+from zswarm.sims.simulator import RobotInterface
 from zswarm.system.text import clean
 
 if TYPE_CHECKING:  # imports the compiler
@@ -56,6 +57,7 @@ class Controller(
     genome: bytes
     fitness: float  # in search
     run: str
+    robot: RobotInterface | None = None  # as its simulator has it; None: it drives none
     held_out: HeldOut | None = None  # once the run's last generation is assessed
 
     def network(self) -> tuple["Representation", np.ndarray]:

@@ -203,15 +203,11 @@ class Farm:
             match command:
                 case events.Answer():
                     self._answer(server, command, now)
-                case events.PrepareSlot():
-                    self._later(
-                        server,
-                        command.slot,
-                        now,
-                        events.Prepared(
-                            command.slot, b"scale" if command.probe else b"", 0.0
-                        ),
-                    )
+                case events.PrepareSlot(slot, first=first, most=count):
+                    self._later(server, slot, now, prepared(slot, first, count))
+                case events.PlayProbe(slot, first, count):
+                    played = prepared(slot, first, count, loaded=True)
+                    self._later(server, slot, now, played)
                 case events.RunChunk():
                     self._run(server, command, now)
                 case events.StopSlot() | events.KillSlot():
@@ -276,6 +272,14 @@ class Farm:
         with contextlib.suppress(zenoh.ZError):  # the optimizer left
             query.reply(query.key_expr, answer.body)
         query.drop()
+
+
+def prepared(
+    slot: int, first: int, count: int, *, loaded: bool = False
+) -> events.Prepared:
+    """Return the event of a slot that played trials of the probe in no time."""
+    probe = bytes(messages.PROBE_DIGEST * count)
+    return events.Prepared(slot, probe, 0.0, first=first, loaded=loaded)
 
 
 def farm(pipe: Connection, first: int, endpoints: list[str]) -> None:

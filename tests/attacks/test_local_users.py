@@ -5,6 +5,8 @@ import os
 import socket
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -50,10 +52,16 @@ def accepted(listening: socket.socket) -> bool:
     return found
 
 
+@pytest.fixture
+def shared() -> Iterator[Path]:
+    """Make a folder like /tmp; tmp_path may be too long for the path of a socket."""
+    with tempfile.TemporaryDirectory(prefix="zs-") as made:
+        yield Path(made)
+
+
 @needs_root
-def test_the_folder_of_another_user_shows_no_server(tmp_path: Path) -> None:
+def test_the_folder_of_another_user_shows_no_server(shared: Path, tmp_path: Path) -> None:
     """In /tmp anyone can make the folder that a user's servers would have."""
-    shared = tmp_path / "shared"
     folder = shared / f"zswarm-{os.geteuid()}"
     folder.mkdir(parents=True)
     shared.chmod(0o1777)

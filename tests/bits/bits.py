@@ -57,6 +57,7 @@ SMALL: dict[str, dict[str, Any]] = {
         "goal": 0.4,
         "speed": 2.0,
     },
+    "epuck": {"robots": 4, "seconds": 2.5},
     "foraging-physical": {
         "robots": 2,
         "rays": 8,
@@ -115,8 +116,10 @@ def problem(
             *(f"{key}={value}" for key, value in {**rules, **shape}.items()),
         ]
     )
-    if STEPS and hasattr(plugins.load("simulator", simulator).settings_type, "steps"):
-        rules = {"steps": STEPS} | SMALL.get(simulator, {}) | rules
+    if STEPS:
+        has_steps = hasattr(plugins.load("simulator", simulator).settings_type, "steps")
+        steps = {"steps": STEPS} if has_steps else {}
+        rules = steps | SMALL.get(simulator, {}) | rules
     return name, *evaluate.build(simulator, rules, network, shape)
 
 

@@ -138,6 +138,7 @@ def import_everything() -> None:
 def play(task: dict[str, Any]) -> None:
     """Run or resume, in a forked process."""
     import zswarm
+    from zswarm.ot.cluster import connection as connections
 
     class Killer(zswarm.Logger):
         """Kill its own process at the second progress message of a generation."""
@@ -150,6 +151,7 @@ def play(task: dict[str, Any]) -> None:
                 os.kill(os.getpid(), signal.SIGKILL)
 
     servers = task["servers"]
+    connections.WAIT_FOR_SERVERS_S = 120.0  # other tests compute next to this
     with zswarm.connect(len(servers), connect=servers, multicast=False) as connection:
         if "resume" in task:
             with zswarm.resume(task["resume"], connection=connection) as resumed:

@@ -16,6 +16,7 @@ from click.testing import CliRunner, Result
 from tests.evaluated_record import played
 from tests.repository import REPOSITORY
 from tests.robots.controllers import controller
+from zswarm import experiment
 from zswarm.controller import CHAMPION, load_controller
 from zswarm.errors import ConfigError
 from zswarm.ot import cli
@@ -262,3 +263,28 @@ def test_an_export_that_was_cut_short_is_repeated() -> None:
         Path("f/a.c"),
         Path("f/b.c"),
     ]
+
+
+def test_a_champion_of_launch_files_is_exported_where_its_package_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its manifest has the robot's interface, which its file holds."""
+    example = REPOSITORY / "examples" / "ros" / "stage" / "files"
+    monkeypatch.setenv("ZSWARM_SIMULATORS", str(example))
+    problem = Problem(experiment.load(example / "run" / "exit.toml"))
+    champion = problem.controller(problem.random(1)[0], -5.5, "stage-files-01234567")
+    Path(CHAMPION).write_bytes(msgspec.msgpack.encode(champion))
+    monkeypatch.delenv("ZSWARM_SIMULATORS")
+    for target in targets.TARGETS:
+        assert typed(CHAMPION, "--to", target, "--out", target).exit_code == 0
+    same = problem.controller(champion.genome, -5.5, champion.run)
+    same = msgspec.structs.replace(
+        same,
+        robot=None,
+        simulator="turtlebot-exit",
+        simulator_settings={"epsilon": 0.6, "robots": 4},
+    )
+    Path("same.zsc").write_bytes(msgspec.msgpack.encode(same))
+    typed("same.zsc", "--to", "ros1", "--out", "same", "--name", champion.run)
+    for file in ("src/robot.h", "src/robot.c", "src/interface.c", "src/node.cpp"):
+        assert Path("ros1", file).read_text() == Path("same", file).read_text()

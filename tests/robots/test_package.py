@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +25,7 @@ from tests.robots.packed import (
 )
 from zswarm.errors import ConfigError
 from zswarm.robots.package import Files, ros1, ros2, zenoh
+from zswarm.ros.launch import controller_files
 
 TARGETS: dict[str, tuple[Callable[..., Files], str]] = {
     "ros1": (ros1, "stageros"),
@@ -169,6 +171,29 @@ def test_a_self_test_that_fails_refuses_to_drive(
     (robot,) = load(tmp_path, "zs_x", "robot")
     with pytest.raises(ValueError, match="the self-test of zs_x fails"):
         robot.build()
+
+
+def test_a_robot_tests_and_drives_another_controller_of_its_interface(
+    tmp_path: Path,
+) -> None:
+    """As the file route writes each candidate into an exported package."""
+    write(ros1(evolved(), "candidate", "stageros"), tmp_path)
+    files = controller_files.written(evolved(seed=9), "c99", "src/zs_candidate.c")
+    exact, source = selftest(write(files, tmp_path)), files["src/zs_candidate.c"]
+    table = "_actions[16][ZS_CANDIDATE_OUTPUTS] = {\n    {"
+    assert table in source
+    write({"src/zs_candidate.c": source.replace(table, table + "1.0f + ")}, tmp_path)
+    assert (exact, selftest(tmp_path)) == (0, 1)
+
+
+def selftest(folder: Path) -> int:
+    """Compile a robot strictly; return what its self-test does."""
+    (folder / "zs_candidate").mkdir(exist_ok=True)
+    compiled(folder, "zs_candidate")
+    run = f"""import ctypes
+print(ctypes.CDLL({str(folder / "zs_candidate" / "librobot.so")!r}).robot_selftest())"""
+    done = subprocess.run([sys.executable, "-c", run], capture_output=True, check=True)
+    return int(done.stdout)
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -170,6 +170,7 @@ class Problem:
             genome=genome,
             fitness=fitness,
             run=run,
+            robot=simulator.robot,
         )
 
     # ---- for a user's optimizer

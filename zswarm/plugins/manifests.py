@@ -25,6 +25,10 @@ Count = Annotated[int, Meta(ge=1, le=100_000)]
 Limit = Annotated[float, Meta(gt=0, le=86400)]  # seconds
 # A path in a package.
 Inside = Annotated[str, Meta(pattern=r"^(?!/|.*(^|/)\.\.(/|$)).+$")]
+Positive = Annotated[float, Meta(gt=0, le=1e4)]
+Place = tuple[
+    Annotated[float, Meta(ge=-1e6, le=1e6)], Annotated[float, Meta(ge=-1e6, le=1e6)]
+]
 RosName = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 SettingName = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,62}$")]
 
@@ -72,6 +76,24 @@ class ControllerFile(
     limit_s: Limit = 600.0  # for the command
 
 
+class DrivenRobot(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a controller's numbers come from a robot's messages, as in turtlebot-exit.
+
+    It observes the laser scan in sectors, two numbers less than it has inputs, and the direction
+    of the nearest target; it sets shares of the highest speed and turning rate.
+    """
+
+    rays: Annotated[int, Meta(ge=2, le=100_000)]
+    view: Annotated[float, Meta(gt=0, le=360)]  # degrees from the first ray to the last
+    range: Positive  # m
+    targets: Annotated[list[Place], Meta(min_length=1, max_length=10_000)]  # m: x, y
+    arrived: Annotated[float, Meta(ge=0, le=1e6)]  # m from a target
+    speed: Positive  # m/s at most
+    turn: Positive  # rad/s at most
+    step_s: Positive  # between decisions
+    radius: Positive  # m
+
+
 class LaunchManifest(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 ):
@@ -87,6 +109,7 @@ class LaunchManifest(
     sensors: list[str] = []
     actuators: list[str] = []
     robots: Count | str  # how many, or the setting for it
+    robot: DrivenRobot | None = None  # for exports that drive one
     controller: ControllerFile
     seed: LaunchTarget | None = None  # of a trial; None: the world takes none
     repeatable: bool = True  # the same candidate and seed have the same fitness

@@ -31,6 +31,7 @@ from zswarm.robots.c.templates import fill
 from zswarm.robots.drive_checks import STEPS, DriveSteps, drive_steps, first_and_between
 from zswarm.robots.profiles import profile as profiles
 from zswarm.sims import robot_interface
+from zswarm.sims.simulator import RobotInterface
 
 SILENT_STEPS = 3  # the watchdog waits at least this many steps for a message
 Types = dict[str, Type]
@@ -160,18 +161,7 @@ class Robot:
     def __init__(
         self, kind: NodeKind, controller: Controller, name: str, profile: str
     ) -> None:
-        simulator, _ = evaluate.build(
-            controller.simulator,
-            controller.simulator_settings,
-            controller.representation,
-            controller.representation_settings,
-        )
-        if simulator.robot is None:
-            raise ConfigError(
-                f"{controller.simulator}: its controllers fit no robot; expected a simulator "
-                "with a robot's interface: turtlebot-exit"
-            )
-        self.interface = simulator.robot
+        self.interface = _interface(controller)
         inputs = self.interface.sectors + 2
         if (controller.inputs, controller.outputs) != (inputs, 2):
             raise ConfigError(
@@ -199,7 +189,25 @@ class Robot:
     @cached_property
     def checks(self) -> DriveSteps:
         """The steps of its self-test."""
-        return drive_steps(self.controller, self.interface, self.speed, self.turn)
+        return drive_steps(self.interface, self.speed, self.turn)
+
+
+def _interface(controller: Controller) -> RobotInterface:
+    """Return how a controller drives a robot: as its file has it, else as its simulator."""
+    if controller.robot is not None:
+        return controller.robot
+    simulator, _ = evaluate.build(
+        controller.simulator,
+        controller.simulator_settings,
+        controller.representation,
+        controller.representation_settings,
+    )
+    if simulator.robot is None:
+        raise ConfigError(
+            f"{controller.simulator}: its controllers fit no robot; expected a simulator with a "
+            "robot's interface: turtlebot-exit, or one of launch files whose manifest has robot"
+        )
+    return simulator.robot
 
 
 def _words(robot: Robot) -> Words:
@@ -299,7 +307,7 @@ def _settings(robot: Robot, words: Words) -> str:
         *(f"{word.upper()} = {words[word]}" for word in NUMBERS),
         f"TARGETS = ({words['places']})",
         "",
-        "# Steps of the self-test: scans, poses, and decisions.",
+        "# Steps of the self-test: scans, poses, what is observed; actions, decisions.",
         *(f"CHECK_{name.upper()} = {rows.tolist()}" for name, rows in checks),
         "",
     ]

@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 
 from zswarm.config.meta import within
 from zswarm.kernels.signatures import (
@@ -27,6 +28,9 @@ from zswarm.kernels.signatures import (
     UInt64s,
 )
 
+Amount = Annotated[float, Meta(ge=0, le=1e6)]  # of m, s, or per s
+Coordinate = Annotated[float, Meta(ge=-1e6, le=1e6)]  # m
+Place = tuple[Coordinate, Coordinate]
 Steps = Annotated[int, within(1, 1_000_000, "steps of a trial")]  # a setting of many
 MAX_TURNS = 1_000_000  # of a trial; a longer one has no end
 
@@ -115,19 +119,24 @@ class Frame(NamedTuple):
 
 
 class RobotInterface(msgspec.Struct, frozen=True, kw_only=True):
-    """How messages become observations, and decisions velocities: ``robot_interface``."""
+    """How messages become observations, and decisions velocities: ``robot_interface``.
 
-    rays: int  # of the laser scanner
-    view: float  # radians from the first ray, on the right, to the last, half of them to each side
-    range: float  # m; read where nothing is nearer
-    sectors: int  # parts of the scan that are observed, from the right to the left
+    A champion's file has it, so that it can be exported where its simulator is not.
+    """
+
+    rays: Annotated[int, Meta(ge=2, le=100_000)]  # of the laser scanner
+    # Radians from the first ray, on the right, to the last, half of them to each side.
+    view: Annotated[float, Meta(gt=0, le=7)]
+    range: Amount  # m; read where nothing is nearer
+    # Parts of the scan that are observed, from the right to the left.
+    sectors: Annotated[int, Meta(ge=1, le=100_000)]
     # m: x, y; the direction of the nearest is observed.
-    targets: tuple[tuple[float, float], ...]
-    arrived: float  # m from a target at which a robot is done
-    speed: float  # m/s at most
-    turn: float  # rad/s at most
-    step_s: float  # a controller decides once in each
-    radius: float  # m, of a robot
+    targets: Annotated[tuple[Place, ...], Meta(min_length=1, max_length=10_000)]
+    arrived: Amount  # m from a target at which a robot is done
+    speed: Amount  # m/s at most
+    turn: Amount  # rad/s at most
+    step_s: Amount  # a controller decides once in each
+    radius: Amount  # m, of a robot
 
 
 class Simulator(ABC):

@@ -170,7 +170,7 @@ class Server:
     def _close_workers(self) -> None:
         for worker in self.workers:
             worker.close()
-        orphans.end(())
+        orphans.end_all()
 
     # ---- the loop
 

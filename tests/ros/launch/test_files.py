@@ -77,6 +77,10 @@ def test_a_manifest_offers_settings_and_the_fitness_rules(rough: Path) -> None:
 
 
 ROBOTS = 'robots = "robots"'
+ROBOT = (
+    "robot = { rays = 36, view = 270.0, range = 4.0, targets = [[1.0, 2.0]], arrived = 0.2, "
+    "speed = 0.65, turn = 3.14, step_s = 0.2, radius = 0.2 }"
+)
 
 
 @pytest.mark.parametrize(
@@ -111,6 +115,15 @@ ROBOTS = 'robots = "robots"'
         (
             (ROBOTS, 'robots = 1\nfitness = "command"'),
             r"fitness: command: expected the key command, a program",
+        ),
+        (
+            (ROBOTS, f"robots = 1\n{ROBOT}"),
+            r"robot: it has a number for each sector .* inputs = 3 or more and outputs = 2, "
+            "not 1 and 1$",
+        ),
+        (
+            (ROBOTS, f"robots = 1\n{ROBOT}".replace("4.0", "nan")),
+            r"rough\.toml: robot\.range: expected float > 0\.0",
         ),
         (
             (ROBOTS, 'robots = 1\nlogs = "."'),

@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from tests.repository import REPOSITORY
 from tests.ros.ros_here import LINKS, ROS_2, need
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.robots.profiles import profile as profiles
+from zswarm.robots.profiles.profile import Profile
 from zswarm.ros.link import graph
 from zswarm.ros.link.link import Link
 from zswarm.ros.link.messages import Clock, Message, Odometry, ResetWorld, Scan, Velocity
@@ -25,6 +27,7 @@ MESSAGES = 1000
 ROBOTS = 4
 TIMEOUT_S = 60
 STAGE = profiles.read("turtlebot2-stage")
+STAGE_2 = msgspec.structs.replace(profiles.read("stage_ros2"), reset=STAGE.reset)
 GOLDEN = REPOSITORY / "tests" / "golden" / "ros2_bytes.json"
 HOLDER = """
 import sys
@@ -212,16 +215,21 @@ def test_a_master_that_does_not_answer_is_reported() -> None:
         Link(nowhere, profiles.read("stageros"), robots=1, side="controllers")
 
 
-def test_a_service_without_arguments_begins_a_trial() -> None:
+@pytest.mark.parametrize(
+    ("link", "profile"), [("rospy", STAGE), ("rclpy", STAGE_2)], ids=["rospy", "rclpy"]
+)
+def test_a_service_without_arguments_begins_a_trial(
+    link: graph.LinkKind, profile: Profile
+) -> None:
     """Stage's reset_positions is such a service; it does not receive the seed.
 
     Controllers are told when a call returned.
     """
-    need("rospy")
+    need(link)
     with (
-        graph.private("rospy") as here,
+        graph.private(link) as here,
         Link(
-            here, STAGE, robots=2, side="controllers", channels=("reset",)
+            here, profile, robots=2, side="controllers", channels=("reset",)
         ) as controllers,
     ):
         with pytest.raises(
@@ -230,7 +238,7 @@ def test_a_service_without_arguments_begins_a_trial() -> None:
         ):
             controllers.ready(0.1)
         with Link(
-            here.dialled(), STAGE, robots=2, side="simulation", channels=("reset",)
+            here.dialled(), profile, robots=2, side="simulation", channels=("reset",)
         ) as simulation:
             controllers.ready(TIMEOUT_S)
             simulation.ready(TIMEOUT_S)

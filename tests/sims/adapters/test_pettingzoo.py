@@ -52,8 +52,6 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
 ]
 KEPT = {
     "pettingzoo": [
-        "knights_archers_zombies_v11",
-        "multiwalker_v9",
         "rps_v2",
         "simple_tag_v3",
     ],
@@ -69,7 +67,13 @@ KEPT = {
 
 @pytest.mark.parametrize(
     ("simulator", "environment"),
-    [(simulator, name) for simulator in KEPT for name in KEPT[simulator]],
+    [
+        *((simulator, name) for simulator in KEPT for name in KEPT[simulator]),
+        *(
+            pytest.param("pettingzoo", name, marks=pytest.mark.long)
+            for name in ("knights_archers_zombies_v11", "multiwalker_v9")
+        ),
+    ],
 )
 def test_an_environment_keeps_the_contract(simulator: str, environment: str) -> None:
     check_simulator(

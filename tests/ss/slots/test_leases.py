@@ -22,6 +22,7 @@ from zswarm.protocol.messages import (
     FaultKind,
     Lease,
     Offer,
+    Refused,
     Release,
     Renew,
     Requirements,
@@ -238,6 +239,22 @@ def failing(event: Event, times: int = 1) -> Lease:
 def test_a_failure_that_may_pass_is_reported_as_one(passing: bool) -> None:
     lease = failing(Unprepared(0, "No space left on device", passing))
     assert (lease.passing, lease.reason) == (passing, "No space left on device")
+
+
+@pytest.mark.parametrize(("passing", "code"), [(True, "busy"), (False, "mismatch")])
+def test_batches_of_a_lease_whose_failure_may_pass_are_not_refused_for_good(
+    passing: bool, code: str
+) -> None:
+    """Its slot worked, died, and could not be prepared again: those that wait, and later ones."""
+    server = Server(1)
+    lease = server.ready(slots=1)
+    _, waiting = server.evaluate(lease, 1, 2)
+    server.feed(Died(0, 0, "the simulation ended", "crashed"))
+    server.feed(Unprepared(0, "no ROS master answers", passing))
+    (later,) = server.evaluate(lease, 3)
+    for query in (waiting, later):
+        refused = server.answer(query, Refused)
+        assert (refused.code, refused.reason) == (code, "no ROS master answers")
 
 
 @pytest.mark.parametrize(("kind", "passing"), [("crashed", True), ("memory", False)])

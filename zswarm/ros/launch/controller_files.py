@@ -1,6 +1,7 @@
 """A candidate's controller as a file of a ROS package, in the three forms of docs/ros-files.md."""
 
 from collections.abc import Callable
+from pathlib import PurePosixPath
 
 import numpy as np
 
@@ -36,6 +37,21 @@ def c99(controller: Controller) -> str:
     files = pair(controller, NAME)
     header, source = files[f"zs_{NAME}.h"], files[f"zs_{NAME}.c"]
     return header + source.replace(f'#include "zs_{NAME}.h"\n', "", 1)
+
+
+def written(controller: Controller, form: str, path: str) -> dict[str, str]:
+    """Return the files of a controller by their paths in a package.
+
+    Args:
+        form: one of ``FORMS``.
+        path: of the file. One of C99 that ends in ``.c`` has its header next to it, as in what
+            ``zswarm-ot export --name candidate`` writes.
+    """
+    if form == "c99" and path.endswith(".c"):
+        files, header = pair(controller, NAME), f"zs_{NAME}.h"
+        beside = PurePosixPath(path).with_name(header)
+        return {path: files[f"zs_{NAME}.c"], str(beside): files[header]}
+    return {path: FORMS[form](controller)}
 
 
 FORMS: dict[str, Callable[[Controller], str]] = {"yaml": yaml, "json": json, "c99": c99}

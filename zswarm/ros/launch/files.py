@@ -19,6 +19,7 @@ import numpy as np
 from zswarm.config.decode import convert
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
+from zswarm.kernels.portable import PI
 from zswarm.kernels.random import Stream
 from zswarm.kernels.sums import mean
 from zswarm.plugins import manifests
@@ -28,7 +29,7 @@ from zswarm.ros.launch import controller_files, logs, packages, parameters, rosl
 from zswarm.ros.launch.roslaunch import Supervisor
 from zswarm.sims.foreign import messages
 from zswarm.sims.foreign.simulator import settings_struct
-from zswarm.sims.simulator import HostingSimulator, Outcome, Turn
+from zswarm.sims.simulator import HostingSimulator, Outcome, RobotInterface, Turn
 from zswarm.system.processes import ending
 
 RULES = {
@@ -66,6 +67,7 @@ class RosFiles(HostingSimulator):
                 f"expected 1 to {messages.MAX_AGENTS} robots, not {robots}"
             )
         self.owners = (0,) * robots
+        self.robot = _interface(manifest)
         self._rule: str = settings.fitness  # type: ignore[attr-defined]  # of simulator_class
         self.metrics = () if self._rule == "command" else ("distance", "steps")
         self._targets: list[tuple[LaunchTarget, Any]] = []
@@ -81,7 +83,7 @@ class RosFiles(HostingSimulator):
         loaded = plugins.load("representation", kind)
         complete = convert(settings, loaded.settings_type, "representation")
         network = loaded(complete, self.inputs, self.outputs)
-        self._controller_file(network.random(1, Stream(0))[0])
+        self._controller_files(network.random(1, Stream(0))[0])
         return True
 
     def play_alone(self, genomes: Sequence[bytes], seed: int) -> Outcome:
@@ -169,10 +171,11 @@ class RosFiles(HostingSimulator):
                 files.setdefault(target.file, {})[target.key] = value
         for file, values in files.items():
             packages.write(package / file, parameters.text(values))
-        packages.write(package / manifest.controller.file, self._controller_file(genome))
+        for file, text in self._controller_files(genome).items():
+            packages.write(package / file, text)
         return arguments
 
-    def _controller_file(self, genome: bytes) -> str:
+    def _controller_files(self, genome: bytes) -> dict[str, str]:
         controller = Controller(
             simulator=self.name,
             simulator_settings=msgspec.to_builtins(self.settings),
@@ -186,7 +189,8 @@ class RosFiles(HostingSimulator):
             fitness=0.0,
             run=controller_files.NAME,
         )
-        return controller_files.FORMS[self.manifest.controller.form](controller)
+        kind = self.manifest.controller
+        return controller_files.written(controller, kind.form, kind.file)
 
 
 @cache
@@ -210,6 +214,18 @@ def simulator_class(name: str, path: Path) -> type[RosFiles]:
         "__module__": __name__,
     }
     return type(name, (RosFiles,), attributes)
+
+
+def _interface(manifest: LaunchManifest) -> RobotInterface | None:
+    """Return the robot that a manifest describes."""
+    if (robot := manifest.robot) is None:
+        return None
+    fields = msgspec.structs.asdict(robot) | {
+        "view": robot.view * PI / 180,
+        "sectors": manifest.inputs - 2,
+        "targets": tuple(robot.targets),
+    }
+    return RobotInterface(**fields)
 
 
 def _settings(manifest: LaunchManifest) -> list[messages.SettingEntry]:
@@ -254,6 +270,12 @@ def _check_manifest(manifest: LaunchManifest) -> None:
         names = getattr(manifest, what)
         if names and len(names) != count:
             raise ConfigError(f"{what}: expected {count} names or none, not {len(names)}")
+    if manifest.robot is not None and (manifest.inputs < 3 or manifest.outputs != 2):
+        raise ConfigError(
+            "robot: it has a number for each sector of its scan and 2 for the nearest target, and "
+            f"takes 2; expected inputs = 3 or more and outputs = 2, not {manifest.inputs} and "
+            f"{manifest.outputs}"
+        )
     robots = manifest.robots
     default = getattr(manifest.settings.get(str(robots)), "default", None)
     if isinstance(robots, str) and type(default) is not int:

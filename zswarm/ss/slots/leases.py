@@ -143,7 +143,7 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
         """Fail a lease whose problem could not be prepared."""
         self._out.log("prepare_failed", user=lease.user, run=lease.run, reason=reason)
         lease.failure, lease.passing = reason[:MAX_TEXT], passing
-        self._strip(lease, "mismatch", reason)
+        self._strip(lease, lease.failure_code, reason)
 
     def _strip(self, lease: HeldLease, code: Refusal, reason: str) -> None:
         """Refuse the jobs of a lease, and take its slots; those that work are to stop first."""

@@ -44,7 +44,7 @@ from typing import Literal, NamedTuple
 import msgspec
 
 from zswarm.errors import LocalProtocolError
-from zswarm.protocol.messages import Lease, Reserve, State
+from zswarm.protocol.messages import Lease, Refusal, Reserve, State
 from zswarm.ss.slots.events import Query
 from zswarm.ss.slots.jobs import Chunk, JobQueue
 from zswarm.ss.slots.probing import ProbeTrials
@@ -146,6 +146,11 @@ class HeldLease(msgspec.Struct, eq=False):
     used_at_turn: float = 0.0
     failure: str = ""
     passing: bool = False  # the failure may pass
+
+    @property
+    def failure_code(self) -> Refusal:
+        """The code with which its batches are refused once it failed."""
+        return "busy" if self.passing else "mismatch"
 
     def ready(self) -> int:
         """Return how many slots evaluate, or could: those that are lent come back for work."""

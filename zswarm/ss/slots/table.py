@@ -200,7 +200,7 @@ class SlotTable:
         elif self.draining:
             refuse(query, "draining", "the server is draining")
         elif lease.failure:
-            refuse(query, "mismatch", lease.failure)
+            refuse(query, lease.failure_code, lease.failure)
         elif sum(not job.cancelled for job in lease.jobs.jobs.values()) >= 2 * slots:
             refuse(query, "busy", f"{slots} slots take {2 * slots} batches at once")
         else:

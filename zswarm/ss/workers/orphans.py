@@ -9,11 +9,14 @@ import ctypes
 import os
 import signal
 import sys
+import time
 from collections.abc import Collection
 
 import psutil
 
 PR_SET_CHILD_SUBREAPER = 36
+ENDING_S = 5.0  # for killed processes
+POLL_S = 0.002
 
 
 def adopt() -> None:
@@ -23,16 +26,27 @@ def adopt() -> None:
 
 
 def end(sessions: Collection[int]) -> int:
-    """Kill the orphans outside of these sessions; return how many are not gone yet."""
-    own, rest = os.getsid(0), 0
+    """Kill the orphans outside of these sessions; return how many there were.
+
+    While there were some, call it again: the children of those that were killed are orphans then.
+    """
+    own, found = os.getsid(0), 0
     for child in psutil.Process().children():
         with contextlib.suppress(ProcessLookupError, ChildProcessError):
             session = os.getsid(child.pid)
             if session == own or session in sessions:
                 continue
             os.kill(child.pid, signal.SIGKILL)
-            rest += os.waitpid(child.pid, os.WNOHANG) == (0, 0)
-    return rest
+            found += 1
+            os.waitpid(child.pid, os.WNOHANG)
+    return found
+
+
+def end_all() -> None:
+    """Kill all orphans, and wait until none is left: this program ends."""
+    give_up = time.monotonic() + ENDING_S
+    while end(()) and time.monotonic() < give_up:
+        time.sleep(POLL_S)
 
 
 def parents() -> set[int]:

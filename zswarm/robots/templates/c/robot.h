@@ -40,7 +40,9 @@ void robot_init(robot *self);
 /* Clear the controller's memory, as at the start of a trial. */
 void robot_forget(robot *self);
 
-/* Return 0 if this machine computes the bits of the one that evolved the controller. */
+/* Return 0 if this machine computes the bits of the one that evolved the controller: first
+   @{name}_selftest(), then what the robot observes, and how it drives. So the test is also that of
+   another controller with as many inputs and outputs, if that is what @{name}.c and .h are. */
 int robot_selftest(void);
 
 /* Decide. Ranges in m, angles in radians from the robot's front, counter-clockwise; x, y in m; z, w

@@ -125,12 +125,17 @@ class Plain:
         evolved = Plain(
             np.array(settings.TARGETS, np.float64), settings.SPEED, settings.TURN
         )
-        decided = []
-        for ranges, pose in zip(settings.CHECK_RANGES, settings.CHECK_POSES):
+        observed, decided = [], []
+        for ranges, pose, action in zip(
+            settings.CHECK_RANGES, settings.CHECK_POSES, settings.CHECK_ACTIONS
+        ):
             scan = driving.Scan(0, ranges, settings.FIRST, settings.BETWEEN)
-            decided.append(evolved.step(scan, driving.Pose(0, *pose)))
-        expected = [Decision(*decision) for decision in settings.CHECK_DECISIONS]
-        return self._network.selftest() or int(repr(decided) != repr(expected))
+            distance = evolved._observe(scan, driving.Pose(0, *pose))
+            observed.append(evolved._observation.tolist())
+            decided.append([*evolved._drive(np.array(action, np.float32)), distance])
+        computed = repr([observed, decided])
+        expected = repr([settings.CHECK_OBSERVATIONS, settings.CHECK_DECISIONS])
+        return self._network.selftest() or int(computed != expected)
 
     def reset(self):
         """Clear the controller's memory."""
@@ -138,24 +143,27 @@ class Plain:
 
     def step(self, scan, pose):
         """Decide; return None if the scanner does not cover what the controller needs."""
+        angles = (scan.angle_min, scan.angle_increment)
+        if not self._kernels.covers(len(scan.ranges), *angles, settings.VIEW):
+            return None
+        distance = self._observe(scan, pose)
+        action = self._controller.act(self._observation)
+        return Decision(*self._drive(action), distance)
+
+    def _observe(self, scan, pose):
+        """Fill the observation; return the distance to the nearest target."""
         kernels, seen = self._kernels, self._observation
         rays, view, reach = settings.RAYS, settings.VIEW, np.float32(settings.RANGE)
         ranges = np.asarray(scan.ranges, np.float32)
-        angles, place = (
-            (scan.angle_min, scan.angle_increment),
-            (pose.x, pose.y, pose.z, pose.w),
-        )
-        if not kernels.covers(len(ranges), *angles, view):
-            return None
+        angles = (scan.angle_min, scan.angle_increment)
         kernels.fit_scan(ranges, len(ranges), *angles, rays, view, reach, self._scan)
         scanner = (self._scan, rays, reach, settings.SECTORS)
-        count = len(self._targets) // 2
-        distance = kernels.observe(*scanner, *place, self._targets, count, seen)
-        drive, turn = self._controller.act(seen)
+        place, count = (pose.x, pose.y, pose.z, pose.w), len(self._targets) // 2
+        return float(kernels.observe(*scanner, *place, self._targets, count, seen))
+
+    def _drive(self, action):
+        """Return the velocities of an action."""
+        kernels, (drive, turn) = self._kernels, action
         linear = float(kernels.velocity(drive, settings.EVOLVED_SPEED))
         angular = float(kernels.velocity(turn, settings.EVOLVED_TURN))
-        limited = (
-            kernels.limited(linear, self._speed),
-            kernels.limited(angular, self._turn),
-        )
-        return Decision(*limited, float(distance))
+        return kernels.limited(linear, self._speed), kernels.limited(angular, self._turn)
