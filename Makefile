@@ -7,7 +7,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 KILLS ?= 200
 THIRD_PARTY ?= ../shared/third-party
 
-.PHONY: run test long attacks fuzz programs product vmas browser robots rest chaos faults machines units kills stage bits-everywhere lint format docs docs-commands reference bench bench-quick bench-methods benchmarks paper scale soak clean
+.PHONY: run test long attacks fuzz programs product vmas browser robots rest chaos faults machines units kills stage bits-everywhere lint format docs docs-commands reference bench bench-quick bench-methods bench-noise benchmarks paper scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -65,12 +65,12 @@ faults: $(READY)
 machines: $(READY)
 	$(BIN)/python -m pytest -m machines tests/integration/test_machines.py $(ARGS)
 
-# The real Stage, built where its sources are beside the checkout; its tests are skipped where they are not.
+# The real Stage, built where its sources are beside the checkout; its tests are skipped where they are not. So many resets: make stage RESETS=2000.
 stage: $(READY)
 	@if [ ! -e $(THIRD_PARTY)/stage-4.3.tar.xz ]; then echo "Stage is not built: no sources in $(THIRD_PARTY)"; \
 	elif ! command -v cmake g++ fluid catkin_make >/dev/null; then echo "Stage is not built: cmake, g++, fluid or catkin is missing"; \
 	else $(MAKE) --no-print-directory build/stage/ready; fi
-	$(BIN)/python -m pytest -m stage tests/ros/stage $(ARGS)
+	RESETS=$(or $(RESETS),50) $(BIN)/python -m pytest -m stage tests/ros/stage $(ARGS)
 
 # What systemd says of the units.
 units: $(READY)
@@ -118,6 +118,10 @@ bench-quick: $(READY)
 # Learning curves of the optimizers, and docs/benchmarks.md with them.
 bench-methods: $(READY)
 	$(BIN)/python benchmarks/bench.py --only methods $(ARGS)
+
+# What runs report and what their champions do, and docs/benchmarks.md with it: some minutes of computing.
+bench-noise: $(READY)
+	$(BIN)/python benchmarks/bench.py --only noise $(ARGS)
 
 # The paper's designs beside zswarm's ways, and docs/paper.md with them: a quarter of an hour; mosquitto (Debian: apt install mosquitto).
 paper: $(READY)

@@ -27,16 +27,22 @@ COMMANDS = {
 COMMANDS["scale"] = ["-m", "scale"]
 COMMANDS["many_servers"] = ["many_servers.py"]
 COMMANDS["methods"] = ["methods.py"]
-ALONE = ("scale", "many_servers", "methods")  # without peers: in the environment of this
+COMMANDS["noise"] = ["noise.py"]
+ALONE = (
+    "scale",
+    "many_servers",
+    "methods",
+    "noise",
+)  # without peers: in the environment of this
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    # Methods measure no time.
-    usual = [name for name in COMMANDS if name != "methods"]
+    # These measure no time.
+    usual = [name for name in COMMANDS if name not in ("methods", "noise")]
     parser.add_argument(
         "--only",
-        help=f"parts, with commas between: methods, or [default] {', '.join(usual)}",
+        help=f"parts, with commas between: methods, noise, or [default] {', '.join(usual)}",
     )
     parser.add_argument(
         "--quick",

@@ -26,6 +26,7 @@ SCRIPTS = {
     "scale": tables.scale,
     "many_servers": tables.many_servers,
     "methods": tables.methods,
+    "noise": tables.noise,
 }
 BESIDE = {  # first cell of a row in the README's table: its peer
     "zswarm": "zswarm",

@@ -383,6 +383,48 @@ def methods(found: Found) -> str:
     return markdown(["method", *head], lines)
 
 
+def noise(found: Found) -> str:
+    """Return what runs report and what their champions do, and what racing saves."""
+    lines, raced = [], []
+    for row in found["rows"]:
+        lines.append(
+            [
+                f"{row['task']}, {row['simulations']:,}",
+                row["mode"],
+                *(f"{row[name]:.3g}" for name in ("search_reported", "search")),
+                f"{row['search_gap']:+.0%}",
+                *(f"{row[name]:.3g}" for name in ("assessed_reported", "assessed")),
+                f"{row['assessed_gap']:+.1%} ({row['assessed_error']:.1%})",
+                f"{row['assessed_beats_search']:.2f}",
+                f"{row['assessed_beats_fixed']:.2f}",
+            ]
+        )
+        if choice := row.get("choice"):
+            names = ("right_raced", "right_equal", "right_fewer")
+            right = (share(choice[name]) for name in names)
+            raced.append([row["task"], f"{choice['saved']:.0%}", *right])
+    head = [
+        "problem, simulations",
+        "seeds",
+        "in search",
+        "held-out",
+        "difference",
+        "assessed",
+        "held-out",
+        "difference",
+        "beats search's",
+        "beats fixed",
+    ]
+    last = [
+        "problem",
+        "simulations saved",
+        "right: racing",
+        "right: all trials",
+        "right: as many trials as racing",
+    ]
+    return f"{markdown(head, lines)}\n{markdown(last, raced)}"
+
+
 def soonest(row: Row, fitness: float) -> str:
     """Return the evaluations after which the median is that good."""
     return next(

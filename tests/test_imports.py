@@ -55,8 +55,8 @@ ot.commands:        BASE controller experiment kernels ot.build ot.evolution ot.
                     ot.cluster ot.commands.shared ot.dashboard ot.display ot.doctor ot.estimate
                     ot.record ot.replay ot.report ot.study plugins protocol robots robots.c
 ot.commands.shared: BASE controller evaluate experiment ot.evolution ot.logger ot.problem
-                    ot.analysis ot.cluster ot.record ot.study plugins protocol robots security
-                    session
+                    ot.cluster ot.record ot.study nets plugins protocol robots
+                    robots.argos security session
 ot.dashboard:       BASE controller experiment ot.notes ot.analysis ot.record plugins
 ot.display:         BASE controller ot.logger
 ot.doctor:          BASE kernels ot.cluster ot.record plugins protocol security session
@@ -72,6 +72,7 @@ ot.report:          BASE controller evaluate experiment nets ot.notes ot.analysi
 ot.study:           BASE experiment ot.build ot.evolution ot.logger ot.notes ot.analysis ot.cluster
                     ot.display ot.estimate ot.problem ot.record ot.replay protocol
 robots:             BASE controller evaluate kernels nets robots.c robots.profiles sims
+robots.argos:       BASE controller nets robots.c sims.epuck
 robots.c:           BASE controller kernels plugins
 robots.onnx:        BASE controller kernels nets robots.c
 robots.profiles:    BASE

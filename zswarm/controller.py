@@ -40,6 +40,13 @@ class HeldOut(msgspec.Struct, frozen=True, kw_only=True):
     in_search: float
 
 
+class Tracked(msgspec.Struct, frozen=True, kw_only=True):
+    """The best of a generation, counted from 0, on held-out seeds and in search."""
+
+    generation: int
+    held_out: HeldOut
+
+
 class Controller(
     msgspec.Struct, frozen=True, kw_only=True, tag="zswarm-controller", tag_field="format"
 ):

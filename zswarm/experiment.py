@@ -157,11 +157,16 @@ def load(path: Path, overrides: Sequence[str] = ()) -> Experiment:
             simulator drops the file's settings of the previous one.
     """
     mapping = read(path)
+    override(mapping, overrides)
+    return check(mapping, str(path))
+
+
+def override(mapping: dict[str, Any], overrides: Sequence[str]) -> None:
+    """Change the mapping of a file as ``load`` does."""
     parsed = [changes.parse_override(override) for override in overrides]
     _drop_settings(mapping, dict(parsed))
-    for override, (key, value) in zip(overrides, parsed, strict=True):
-        changes.set_value(mapping, key, value, f"--set {override}")
-    return check(mapping, str(path))
+    for text, (key, value) in zip(overrides, parsed, strict=True):
+        changes.set_value(mapping, key, value, f"--set {text}")
 
 
 def check(mapping: Mapping[str, Any], where: str) -> Experiment:

@@ -59,7 +59,7 @@ class RouterOptions(
 @click.option(
     "--log-level", type=click.Choice(log.LEVELS), default="info", show_default=True
 )
-@click.version_option(package_name="zswarm", prog_name="zswarm-router")
+@click.version_option(VERSION, prog_name="zswarm-router")
 def command(config: Path | None, log_level: str, **options: Any) -> None:
     """Bring servers and optimizers together where multicast does not reach.
 

@@ -13,6 +13,7 @@ DEADLINE_S = 1500
 QUICK = {  # target: what it runs, small
     "bench": ["benchmarks/bench.py", "--quick"],
     "bench-methods": ["benchmarks/bench.py", "--quick", "--only", "methods"],
+    "bench-noise": ["benchmarks/bench.py", "--quick", "--only", "noise"],
     "bench-quick": ["benchmarks/ratios.py", "--once"],
     "chaos": ["-m", "tests.chaos", "--seconds", "5"],
     "soak": ["benchmarks/soak.py", "--quick"],

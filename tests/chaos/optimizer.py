@@ -19,7 +19,9 @@ from .problem import Experiment, outcome
 from .server import LIAR, PROBE, TRIAL_TIMEOUT_S, WRONG
 from .world import Node, World
 
-COMMIT_S = 0.1
+UNSYNCED_S = 0.1  # what a crash may lose
+
+Row = tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]
 
 
 class Journal:
@@ -31,17 +33,24 @@ class Journal:
         self.doubtful = False
         self.machines: dict[str, str] = {}  # by server
         self.banned: dict[str, str] = {}  # machines, and as which server
-        self.counted: list[
-            tuple[float, np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]
-        ] = []
+        self.counted: list[Row] = []
+        # When each generation ended, and its outcomes.
+        self.ended: list[tuple[float, list[Row]]] = []
 
     def survives(self, now: float) -> "Journal":
-        """Return what is on the disk after a crash: all but the last tenth of a second."""
+        """Return what is on the disk after a crash: all but the last tenth of a second.
+
+        Generations that ended then are unfinished again.
+        """
         left = Journal()
         left.doubtful, left.banned = self.doubtful, dict(self.banned)
         left.machines = dict(self.machines)
-        left.finished = list(self.finished)
-        left.counted = [row for row in self.counted if row[0] < now - COMMIT_S]
+        left.finished, left.ended = list(self.finished), list(self.ended)
+        left.counted = self.counted
+        while left.ended and left.ended[-1][0] >= now - UNSYNCED_S:
+            left.counted = left.ended.pop()[1]
+            left.finished.pop()
+        left.counted = [row for row in left.counted if row[0] < now - UNSYNCED_S]
         return copy.deepcopy(left)
 
     def history(self) -> str:
@@ -296,6 +305,7 @@ class Optimizer(Node[events.Event]):
         self.journal.finished.append(
             (load.genomes, self.experiment.fitness(load.fitness[:, 0]))
         )
+        self.journal.ended.append((world.now, self.journal.counted))
         self.journal.counted = []
         world.at(self.breeds_s, lambda: self.when_awake(self._next_generation))
 

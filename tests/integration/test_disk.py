@@ -37,6 +37,7 @@ at_once = 2
 KILLS = 15
 INTERRUPTED = {"run": 10, "study": 3}  # times
 SNAPSHOTS = 8
+SHORT, REPORTED = 400, 4  # generations of some milliseconds, and kills at their reports
 
 Mount = Callable[..., Path]
 STARTED: list[Optimizer] = []
@@ -468,6 +469,40 @@ def test_a_repeatedly_killed_run_has_the_same_result(
         done["history_hash"] == facts.history_hash == check_run(undisturbed).history_hash
     )
     assert query(at, "SELECT value > 3 FROM meta WHERE key = 'epoch'") == [(1,)]
+
+
+def test_a_run_killed_at_the_reports_of_short_generations_has_the_same_result(
+    tmp_path: Path,
+) -> None:
+    """What was reported a moment before may be lost; what is recorded is a beginning of the run."""
+    more = f"{CLUSTER}[assessment]\nbudget = 0.0\n"
+    file = Path(evacuation.write(tmp_path, "on-disk", steps=10, more=more))
+    short = file.read_text().replace("generations = 4", f"generations = {SHORT}")
+    file.write_text(short.replace("trials = 20", "trials = 1"))
+    undisturbed = start(tmp_path, "whole", "run", str(file), "--out", "whole", "--json")
+    history = undisturbed.done()["history_hash"]
+    whole, at = check_run(tmp_path / "whole" / "on-disk"), tmp_path / "runs" / "on-disk"
+    recorded, lost = 0, 0
+    optimizer = start(tmp_path, "0", "run", str(file), "--json")
+    for kill in range(1, REPORTED + 1):
+        until = recorded + SHORT // (REPORTED + 1)
+
+        def reported(optimizer: Optimizer = optimizer) -> int:
+            found = [line.get("generation", -1) for line in optimizer.lines()]
+            return max(found, default=-1) + 1
+
+        wait_until(lambda reported=reported, until=until: reported() >= until, "reports")
+        optimizer.kill()
+        assert optimizer.wait() == -signal.SIGKILL, optimizer.err.read_text()
+        facts = check_run(at, sample=3)
+        check_prefix(facts, whole)
+        assert len(facts.told) >= recorded, "what was recorded is gone"
+        recorded = len(facts.told)
+        lost += reported() - recorded
+        optimizer = resume(tmp_path, at, name=str(kill))
+    assert optimizer.done()["history_hash"] == history
+    assert check_run(at).told == whole.told
+    assert lost < SHORT // 2, "reported, and not recorded for long"
 
 
 def test_a_log_cut_anywhere_is_the_beginning_of_the_run(

@@ -34,7 +34,7 @@ def weight(graph: Graph, source: int, target: int) -> float:
 def test_every_kind_of_network_is_drawn(kind: str) -> None:
     graph, _ = built(kind)
     assert graph.nodes
-    assert graph.edges
+    assert graph.edges or len(graph.nodes) == 1  # a machine of one state
 
 
 def test_a_drawn_layered_network_decides_as_the_network_does() -> None:

@@ -76,6 +76,10 @@ def far_from_itself(self, left, right):
     return FullyMeshed.distances(self, left, right) + 1
 
 
+def nearer_between(self: Any, genomes: Any, left: Any, right: Any) -> np.ndarray:
+    return FullyMeshed.distances_between(self, genomes, left, right) / 2
+
+
 def one_way(self, left, right):
     return np.triu(FullyMeshed.distances(self, left, right))
 
@@ -147,6 +151,8 @@ def not_compiled(parameters, state, observation, output):
         ("crossover", short_child, "must be 64 bytes, not 60"),
         ("distances", far_from_itself, "differs from itself"),
         ("distances", one_way, "not symmetric"),
+        ("distances_between", nearer_between, "other bits than .distances"),
+        ("crossover_draws", 3, "expected 3 words for each crossover"),
         ("distances", added_in_pairs, "a pair's distance depends on the other genomes"),
         (
             "parameters",

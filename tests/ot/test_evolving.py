@@ -1,5 +1,6 @@
 """The loop of a run: while a generation is recorded and told, servers have the next one."""
 
+import shutil
 import threading
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -126,7 +127,7 @@ def created(out: Path, complete: experiment.Experiment) -> Record:
     )
 
 
-def test_a_generation_is_reported_when_recorded_and_the_next_is_sent(
+def test_a_generation_is_recorded_after_its_report_and_the_next_is_sent(
     tmp_path: Path, servers: Genes
 ) -> None:
     complete = loaded()
@@ -134,6 +135,7 @@ def test_a_generation_is_reported_when_recorded_and_the_next_is_sent(
         evolution = begun(record, complete, servers)
         for generation in range(4):
             told = next(evolution)
+            record.sync()
             assert told.generation == generation
             assert [row["generation"] for row in Run(record.folder).history()] == list(
                 range(generation + 1)
@@ -203,26 +205,58 @@ def test_slots_are_wanted_for_the_candidates_of_all_islands(
     assert servers.asked["slots"] == slots
 
 
-def test_a_generation_is_written_in_one_transaction(
+def test_generations_are_written_together_and_each_as_a_whole(
     tmp_path: Path, servers: Genes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its outcomes are not older than 0.1 s: they wait for it."""
-    complete = loaded("generations=3")
-    monkeypatch.setattr("zswarm.ot.record.database.COMMIT_S", 3600.0)
+    """Their outcomes, too; nothing is read in the loop."""
+    complete = loaded("generations=4")
+    monkeypatch.setattr("zswarm.ot.record.commits.COMMIT_S", 3600.0)
+    monkeypatch.setattr("zswarm.ot.record.commits.UNSYNCED_S", 3600.0)
     with created(tmp_path, complete) as record:
         evolution = begun(record, complete, servers)
         next(evolution)
+        record.sync()
         statements: list[str] = []
         record._database._connection.set_trace_callback(statements.append)
         next(evolution)
+        next(evolution)
+        assert statements == []
+        record.sync()
         assert [line for line in statements if line.startswith(("BEGIN", "COMMIT"))] == [
             "BEGIN IMMEDIATE",
             "COMMIT",
         ]
-        assert not [line for line in statements if line.startswith("SELECT")], (
-            "nothing is read in the loop"
-        )
+        assert sum("INTO generations" in line for line in statements) == 2
+        assert not [line for line in statements if line.startswith("SELECT")]
         evolution.close()
+
+
+def test_a_killed_run_that_lost_reported_generations_has_the_same_result(
+    tmp_path: Path, servers: Genes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was reported a moment before a kill may not be recorded: it is evaluated again."""
+    complete = loaded("generations=5")
+    with created(tmp_path / "whole", complete) as record:
+        whole = result(begun(record, complete, servers))
+    with created(tmp_path / "killed", complete) as record:
+        evolution = begun(record, complete, servers)
+        next(evolution)
+        record.sync()
+        monkeypatch.setattr("zswarm.ot.record.commits.COMMIT_S", 3600.0)
+        monkeypatch.setattr("zswarm.ot.record.commits.UNSYNCED_S", 3600.0)
+        for _ in range(3):
+            next(evolution)
+        killed = shutil.copytree(record.folder, tmp_path / "as-killed")
+        evolution.close()
+    monkeypatch.undo()
+    record, complete = Record.open(killed)
+    with record:
+        assert record.resumed().generation == 1
+        again = result(begun(record, complete, servers))
+    assert (again.history_hash, again.evaluations) == (
+        whole.history_hash,
+        whole.evaluations,
+    )
 
 
 class Said(Logger):

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import stat
 import subprocess
 import sys
@@ -76,7 +77,12 @@ def test_the_champion_is_written_and_the_next_command_works(run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "target", [name for name, target in targets.TARGETS.items() if not target.driving]
+    "target",
+    [
+        name
+        for name, target in targets.TARGETS.items()
+        if not target.driving and not target.simulator
+    ],
 )
 def test_every_target_names_its_files_and_the_hash(target: str, run: Path) -> None:
     """The hash is the same in the output and in the files."""
@@ -265,26 +271,35 @@ def test_an_export_that_was_cut_short_is_repeated() -> None:
     ]
 
 
-def test_a_champion_of_launch_files_is_exported_where_its_package_is_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("route", ["files/run/exit.toml", "run/exit.toml"])
+def test_champions_of_stage_are_exported_where_neither_package_nor_simulation_is(
+    route: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its manifest has the robot's interface, which its file holds."""
-    example = REPOSITORY / "examples" / "ros" / "stage" / "files"
-    monkeypatch.setenv("ZSWARM_SIMULATORS", str(example))
-    problem = Problem(experiment.load(example / "run" / "exit.toml"))
-    champion = problem.controller(problem.random(1)[0], -5.5, "stage-files-01234567")
+    """The manifest has the robot's interface, or the simulator; the champion's file holds it.
+
+    Both have the same robot, whose self-test is played.
+    """
+    example = REPOSITORY / "examples" / "ros" / "stage"
+    monkeypatch.setenv("ZSWARM_SIMULATORS", str(example / "files"))
+    monkeypatch.setenv("ZSWARM_ROS", "nowhere")
+    problem = Problem(experiment.load(example / route))
+    champion = problem.controller(problem.random(1)[0], -5.5, "stage")
     Path(CHAMPION).write_bytes(msgspec.msgpack.encode(champion))
     monkeypatch.delenv("ZSWARM_SIMULATORS")
     for target in targets.TARGETS:
         assert typed(CHAMPION, "--to", target, "--out", target).exit_code == 0
-    same = problem.controller(champion.genome, -5.5, champion.run)
-    same = msgspec.structs.replace(
-        same,
-        robot=None,
-        simulator="turtlebot-exit",
-        simulator_settings={"epsilon": 0.6, "robots": 4},
-    )
+    settings = {"epsilon": 0.6, "robots": 4}
+    fields = {"simulator": "turtlebot-exit", "simulator_settings": settings}
+    same = msgspec.structs.replace(champion, robot=None, **fields)
     Path("same.zsc").write_bytes(msgspec.msgpack.encode(same))
-    typed("same.zsc", "--to", "ros1", "--out", "same", "--name", champion.run)
-    for file in ("src/robot.h", "src/robot.c", "src/interface.c", "src/node.cpp"):
-        assert Path("ros1", file).read_text() == Path("same", file).read_text()
+    typed("same.zsc", "--to", "ros1", "--out", "same", "--name", "stage")
+    for file in ("robot.h", "robot.c", "interface.c", "node.cpp"):
+        assert Path("ros1/src", file).read_text() == Path("same/src", file).read_text()
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler here: apt-get install gcc")
+    main = '#include "ros1/src/robot.h"\nint main(void) { return robot_selftest(); }\n'
+    Path("main.c").write_text(main)
+    sources = [str(path) for path in Path("ros1/src").glob("*.c")]
+    flags = ["-std=c99", "-O2", "-Wall", "-Werror", "-o", "selftest"]
+    subprocess.run(["cc", *flags, "main.c", *sources, "-lm"], check=True)
+    assert subprocess.run(["./selftest"], check=False).returncode == 0

@@ -187,7 +187,10 @@ class ClusterConfig(
 class AssessmentConfig(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 ):
-    """``[assessment]``: which candidate of the whole run is the champion. Search is as without."""
+    """``[assessment]``: which candidate of the whole run is the champion.
+
+    Search is as without, except for ``racing``.
+    """
 
     budget: Annotated[
         Literal["auto"] | Annotated[float, Meta(ge=0, le=10)],
@@ -201,6 +204,22 @@ class AssessmentConfig(
         int,
         within(1, 1000, "the best distinct candidates of the whole run that are raced"),
     ] = 20
+    track: Annotated[
+        int,
+        within(
+            0,
+            1_000_000_000,
+            "the best of each k-th generation plays 100 held-out seeds after the last one, for "
+            "the learning curve; 0: none",
+        ),
+    ] = 0
+    racing: Annotated[
+        bool,
+        about(
+            "stop trials of candidates that will hardly survive their generation "
+            "([noise.md](noise.md#racing-inside-a-generation)); the history is another then"
+        ),
+    ] = False
 
 
 class RecordConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

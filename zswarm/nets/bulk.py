@@ -118,6 +118,7 @@ class Bulk(Representation):
         if self.part.genes is not None and self.part.ranges is not None:
             self.genes = parts * self.part.genes
             self.ranges = np.tile(self.part.ranges, parts)
+        self.crossover_draws = 1 if parts > 1 else self.part.crossover_draws
         self.step = _step_for(name)
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:

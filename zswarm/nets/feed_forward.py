@@ -12,7 +12,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta, field
 
-from zswarm.config.meta import PartSettings, about
+from zswarm.config.meta import PartSettings, about, above
 from zswarm.kernels.jit import STEP_SIGNATURE, kernel
 from zswarm.kernels.lanes import LANES, fill, load, store
 from zswarm.nets import neurons, vector
@@ -48,6 +48,12 @@ class FeedForwardSettings(PartSettings, frozen=True):
     )
     weight_range: vector.WeightRange = 2.0
     bias_range: vector.BiasRange = 2.0
+    steepness: Annotated[
+        float, above(0, 1e3, "a node's sum is multiplied by this before its activation")
+    ] = 1.0
+    limited: Annotated[
+        bool, about("mutation method 1 cuts numbers to plus or minus their range")
+    ] = False
 
 
 class ThreeLayerSettings(PartSettings, frozen=True):
@@ -167,6 +173,13 @@ class Layered(vector.VectorRepresentation):
         """Return means of |difference| / range over all genes, added in gene order."""
         return self._differences(left, right, self.ranges) / self.genes
 
+    def distances_between(
+        self, genomes: Sequence[bytes], left: np.ndarray, right: np.ndarray
+    ) -> np.ndarray:
+        """See ``Representation``."""
+        found = self._differences_between(genomes, left, right, self.ranges)
+        return found / self.genes
+
     def graph(self, genome: bytes) -> Graph:
         """Return the network with the weights of its genome."""
         return of_layers(self.inputs, [table for (table,) in self.tables([genome])])
@@ -176,10 +189,26 @@ class FeedForward(Layered):
     """Feed-forward network of any number of hidden layers."""
 
     settings_type = FeedForwardSettings
+    settings: FeedForwardSettings
 
     def __init__(self, settings: FeedForwardSettings, inputs: int, outputs: int) -> None:
         activations = settings.activation, settings.output_activation
         super().__init__(settings, inputs, outputs, settings.hidden, *activations)
+
+    def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
+        """Return rows as ``Layered.parameters``, of weights and biases times the steepness."""
+        steepness = np.float32(self.settings.steepness)
+        tables = [table * steepness for table in self.tables(genomes)]
+        return neurons.parameter_rows(self._header, *tables)
+
+    def _moved(
+        self, numbers: np.ndarray, draws: np.ndarray, method: int, severity: float
+    ) -> np.ndarray:
+        moved = super()._moved(numbers, draws, method, severity)
+        if self.settings.limited and method == 1:
+            reach = self.ranges.astype(np.float32)
+            moved = np.clip(moved, -reach, reach)
+        return moved
 
 
 class ThreeLayer(Layered):

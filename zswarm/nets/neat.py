@@ -65,6 +65,9 @@ class NeatNetworkSettings(PartSettings, frozen=True):
     weight_coefficient: Annotated[
         Coefficient, about("c3 of the distance: mean difference of numbers")
     ] = 0.4
+    synchronous: Annotated[
+        bool, about("NEAT 1.2.1's decisions: all neurons at once, hidden ones sigmoid")
+    ] = False
 
 
 class Neat(Representation):
@@ -83,6 +86,8 @@ class Neat(Representation):
     def __init__(self, settings: NeatNetworkSettings, inputs: int, outputs: int) -> None:
         super().__init__(settings, inputs, outputs)
         self.state_size = 3 * (settings.max_hidden + outputs)
+        if settings.synchronous:  # old values, then new ones
+            self.state_size *= 2
         self._first_hidden = inputs + outputs + 1  # ids below it are inputs and outputs
 
     def parameters(self, genomes: Sequence[bytes]) -> np.ndarray:
@@ -217,6 +222,8 @@ class Neat(Representation):
         sweeps = (
             1 if (sources - self.inputs < targets).all() else self.settings.iterations
         )
+        if self.settings.synchronous:
+            sweeps = 0
         by_target = np.argsort(targets, kind="stable")
         table = np.empty((len(nodes), PER_NEURON), np.float32)
         table[:, 0] = np.bincount(targets, minlength=len(nodes))
@@ -328,7 +335,8 @@ class Neat(Representation):
         id_ = new_id(source, target, self._first_hidden, ids)
         # Before its target, so that links lead forward.
         at = ids.index(target) if target >= self._first_hidden else len(ids)
-        nodes = np.insert(genes.nodes, at, np.array((id_, 0.0, 0.0), NODE))
+        factor = self.settings.factor if self.settings.synchronous else 0.0
+        nodes = np.insert(genes.nodes, at, np.array((id_, 0.0, factor), NODE))
         links = np.array([(source, id_, 1.0, 1), (id_, target, weight, 1)], LINK)
         return Genes(nodes, np.concatenate([genes.links, links]))
 

@@ -33,6 +33,8 @@ class Representation(ABC):
         hidden_at: indices of the hidden neurons' values in the state, for pictures; may be empty.
         ranges: (genes,) float64, new genomes are uniform in plus or minus these; None if ``genes``
             is.
+        crossover_draws: random words that a crossover draws, if most draw equally many: then many
+            are prepared at once.
     """
 
     settings_type: ClassVar[type[msgspec.Struct]]
@@ -43,6 +45,7 @@ class Representation(ABC):
     genes: int | None = None
     hidden_at: range = range(0)
     ranges: np.ndarray | None = None
+    crossover_draws: int | None = None
 
     def __init__(self, settings: msgspec.Struct, inputs: int, outputs: int) -> None:
         self.settings = settings
@@ -80,6 +83,22 @@ class Representation(ABC):
     @abstractmethod
     def distances(self, left: Sequence[bytes], right: Sequence[bytes]) -> np.ndarray:
         """Return (len(left), len(right)) float64, the same bits on every machine."""
+
+    def distances_between(
+        self, genomes: Sequence[bytes], left: np.ndarray, right: np.ndarray
+    ) -> np.ndarray:
+        """Return (n, k) float64: distances of a genome to k others, n times; bits as ``distances``.
+
+        Args:
+            left: (n,) indices of genomes.
+            right: (n, k) indices of genomes.
+        """
+        return np.stack(
+            [
+                self.distances([genomes[one]], [genomes[other] for other in others])[0]
+                for one, others in zip(left.tolist(), right.tolist(), strict=True)
+            ]
+        )
 
     def graph(self, genome: bytes) -> Graph:  # noqa: ARG002  the default shows no inside
         """Return a genome's network for drawing; by default only its inputs and outputs.

@@ -42,6 +42,7 @@ class VectorRepresentation(Representation):
     genes: int
     genome_bytes: int
     ranges: np.ndarray
+    crossover_draws = 2
 
     def __init__(
         self,
@@ -133,6 +134,32 @@ class VectorRepresentation(Representation):
         """Return sums of the absolute differences of all genes, added in gene order."""
         return self._differences(left, right)
 
+    def distances_between(
+        self, genomes: Sequence[bytes], left: np.ndarray, right: np.ndarray
+    ) -> np.ndarray:
+        """See ``Representation``."""
+        return self._differences_between(genomes, left, right)
+
+    def _differences_between(
+        self,
+        genomes: Sequence[bytes],
+        left: np.ndarray,
+        right: np.ndarray,
+        scale: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Return sums as ``distances_between``, of genes divided by a scale if there is one."""
+        found = np.empty(right.shape)
+        at_once = max(1, PART // (self.genes * (1 + right.shape[1])))
+        for begin in range(0, len(left), at_once):
+            rows = slice(begin, begin + at_once)
+            pairs = np.column_stack([left[rows], right[rows]])
+            used, places = np.unique(pairs, return_inverse=True)
+            table = self._numbers([genomes[index] for index in used.tolist()])
+            places = places.reshape(pairs.shape)
+            scaled = table if scale is None else table / scale
+            found[rows] = differences_between(scaled, places[:, 0], places[:, 1:])
+        return found
+
     def _differences(
         self,
         left: Sequence[bytes],
@@ -186,6 +213,27 @@ def absolute_differences(left: np.ndarray, right: np.ndarray) -> np.ndarray:
         block = a[:, part, None] - b[:, None, :]
         np.add.reduce(np.abs(block, out=block), axis=0, dtype=np.float64, out=total[part])
     return total[:, : len(right)]
+
+
+def differences_between(
+    table: np.ndarray, left: np.ndarray, right: np.ndarray
+) -> np.ndarray:
+    """Return (n, k) float64: as ``absolute_differences``, of a row to k others, n times.
+
+    Args:
+        left: (n,) indices of rows.
+        right: (n, k) indices of rows.
+    """
+    if right.shape[1] == 1:  # numpy adds the numbers of a single column in pairs
+        return differences_between(table, left, np.repeat(right, 2, axis=1))[:, :1]
+    columns, total = np.ascontiguousarray(table.T), np.empty(right.shape)
+    rows = max(1, BLOCK // max(1, len(columns) * right.shape[1]))
+    for begin in range(0, len(left), rows):
+        part = slice(begin, begin + rows)
+        block = np.take(columns, right[part], axis=1)
+        block -= np.take(columns, left[part], axis=1)[:, :, None]
+        np.add.reduce(np.abs(block, out=block), axis=0, dtype=np.float64, out=total[part])
+    return total
 
 
 def _split(vectors: np.ndarray) -> list[bytes]:

@@ -7,7 +7,7 @@ from zswarm.config.decode import convert
 from zswarm.errors import ConfigError, ZswarmError
 from zswarm.experiment import Experiment
 from zswarm.kernels.random import derive_seed
-from zswarm.ot.assessment import contest
+from zswarm.ot.assessment import contest, racing
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.problem import Problem
 from zswarm.plugins import registry
@@ -58,15 +58,43 @@ def build(complete: Experiment) -> Parts:
             f"of {complete.ranking.kind} do not"
         )
     optimizer.relative = problem.ranking.relative
+    if complete.problem.seeds == "fresh" and simulator.fixed_seeds(1) is not None:
+        raise ConfigError(
+            f'problem: seeds: expected "fixed": {name} determines the seeds of its trials with '
+            "these settings (`zswarm-ot describe` explains which)"
+        )
     if complete.problem.seeds == "fresh" and not optimizer.relative:
         optimizer.use_fresh_seeds()
+    if optimizer.resamples and (why := contest.unfit(problem)):
+        raise ConfigError(f"optimizer: evaluations: expected 1: {why}")
     if optimizer.candidates is not None and optimizer.candidates < simulator.participants:
         raise ConfigError(
             f"optimizer: {kind} asks for {optimizer.candidates} candidates, but a game of {name} "
             f"takes {simulator.participants}"
         )
     contest.check(problem, optimizer.candidates)
+    if complete.assessment.racing:
+        _check_racing(problem, optimizer)
     return Parts(problem, optimizer)
+
+
+def _check_racing(problem: Problem, optimizer: Optimizer) -> None:
+    """Refuse racing where trials of a candidate cannot stop early."""
+    complete = problem.experiment
+    where = "assessment: racing: expected"
+    if why := contest.unfit(problem):
+        raise ConfigError(f"{where} false: {why}")
+    if (trials := complete.problem.trials) < racing.LEAST:
+        raise ConfigError(
+            f"{where} problem.trials of at least {racing.LEAST}, not {trials}: with fewer there "
+            "is nothing to stop"
+        )
+    if optimizer.survivors is None:
+        raise ConfigError(
+            f"{where} an optimizer that uses the order of fitness only, such as nnga with one "
+            f"island, cmaes or random: {complete.optimizer.kind} needs the fitness of all "
+            "candidates with these settings"
+        )
 
 
 def _competing() -> list[str]:

@@ -19,6 +19,7 @@ from zswarm.ot.commands.shared.exits import (
     EXIT_NO_SERVERS,
 )
 from zswarm.system import program
+from zswarm.system.version import VERSION
 
 LONGEST = 200  # characters of a command's first sentence in the list, which folds it
 
@@ -63,7 +64,7 @@ class Commands(click.Group):
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="zswarm", prog_name="zswarm-ot")
+@click.version_option(VERSION, prog_name="zswarm-ot")
 def command() -> None:
     """Evolve swarm-robot controllers on this machine and on all zswarm-ss servers of the network.
 

@@ -32,7 +32,7 @@ CHANGED = "results may differ from here on"
 
 
 class Evolution:
-    """Iterate it once: it yields each generation when it is recorded.
+    """Iterate it once: it yields each generation when it ended, which is recorded soon after.
 
     Attributes:
         folder: of the run.
@@ -44,9 +44,11 @@ class Evolution:
         folder: Path,
         evolve: Callable[[threading.Event], Generations],
         logger: Logger,
+        sync: Callable[[], None] = lambda: None,
     ) -> None:
         self.folder = folder
         self.result: Result | None = None
+        self._sync = sync  # waits until everything is recorded
         self._stop = control.StopRequest(folder)
         self._logger = logger
         self._generations = self._follow(evolve(self._stop))
@@ -56,7 +58,8 @@ class Evolution:
 
     @property
     def run(self) -> Run:
-        """Everything that is recorded so far."""
+        """Everything so far, once it is recorded."""
+        self._sync()
         return Run(self.folder)
 
     def finish(self) -> Result:
@@ -224,4 +227,4 @@ def _evolution(
         logger.on_say(
             f"{record.folder} is on a network file system, so the record has no write-ahead log"
         )
-    return Evolution(record.folder, evolve, logger)
+    return Evolution(record.folder, evolve, logger, record.sync)

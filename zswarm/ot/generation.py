@@ -1,9 +1,15 @@
-"""A generation under evaluation: rounds of games, until the ranking has what it needs."""
+"""A generation under evaluation: rounds of games, until the ranking has what it needs.
 
+With racing the rounds are of trials, for candidates that may still survive.
+"""
+
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
 
+from zswarm.ot.assessment import racing
+from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.problem import Problem
 from zswarm.ot.rankings.ranking import Round
 from zswarm.ot.workload import Workload
@@ -65,9 +71,86 @@ class Assessment:
         return np.where(np.isfinite(mean), mean, np.nan)
 
     def _begin(self, games: np.ndarray | None) -> None:
-        workload = self._problem.workload(self.genomes, self.generation, games=games)
-        workload.generation = self.generation
-        workload.round = len(self._workloads)
-        workload.first = self.trials
+        self._play(self._problem.workload(self.genomes, self.generation, games=games))
+
+    def _play(self, workload: Workload, numbers: np.ndarray | None = None) -> None:
+        """Make a workload the present one; see ``Workload.place`` about the numbers."""
+        workload.place(self.generation, len(self._workloads), self.trials, numbers)
         self._workloads.append(workload)
         self.workload = workload
+
+
+class ResampledAssessment(Assessment):
+    """Genomes of one generation, of which those asked for again play further seeds."""
+
+    def _begin(self, games: np.ndarray | None) -> None:
+        workload = self._problem.workload(self.genomes, self.generation, games=games)
+        seen: Counter[bytes] = Counter()
+        times = []
+        for genome in self.genomes:
+            times.append(seen[genome])
+            seen[genome] += 1
+        trials = self._problem.experiment.problem.trials
+        every = self._problem.trial_seeds(self.generation, trials * (max(times) + 1))
+        times_of_games = np.array(times)[workload.participants[::trials, 0]]
+        workload.seeds = every.reshape(-1, trials)[times_of_games].ravel()
+        self._play(workload)
+
+
+class RacedAssessment(Assessment):
+    """Genomes of one generation whose trials stop when they will hardly survive.
+
+    Args:
+        survivors: how many of them may survive.
+    """
+
+    def __init__(
+        self, problem: Problem, genomes: list[bytes], generation: int, survivors: int
+    ) -> None:
+        self._survivors = survivors
+        trials = problem.experiment.problem.trials
+        self._ends = [0, *racing.rounds(trials)]
+        self._fitness = np.full((len(genomes), trials), np.nan)
+        self._played = np.zeros(len(genomes), np.int64)
+        self._running = np.arange(len(genomes))
+        super().__init__(problem, genomes, generation)
+
+    def advance(self) -> bool:
+        """See ``Assessment``."""
+        begin, end = self._ends[:2]
+        fitness = self.workload.fitness.reshape(-1, end - begin)
+        self._fitness[self._running, begin:end] = fitness
+        self._played[self._running] = end
+        self._ends.pop(0)
+        if len(self._ends) == 1:
+            return False
+        far = self._fitness[self._running, :end]
+        self._running = self._running[racing.remaining(far, self._survivors)]
+        if not len(self._running):
+            return False
+        self._begin(None)
+        return True
+
+    def fitness(self) -> np.ndarray:
+        """See ``Assessment``."""
+        return racing.totals(self._fitness, self._played)
+
+    def _begin(self, games: np.ndarray | None) -> None:  # noqa: ARG002  each plays alone
+        begin, end = self._ends[:2]
+        numbers = self._running[:, None] * self._fitness.shape[1] + np.arange(begin, end)
+        workload = self._problem.workload(
+            self.genomes,
+            self.generation,
+            self._problem.trial_seeds(self.generation)[begin:end],
+            self._running[:, None],
+        )
+        self._play(workload, numbers.ravel())
+
+
+def assess(problem: Problem, optimizer: Optimizer, generation: int) -> Assessment:
+    """Ask an optimizer for a generation, and begin its first round."""
+    genomes = optimizer.ask()
+    if problem.experiment.assessment.racing and optimizer.survivors:
+        return RacedAssessment(problem, genomes, generation, optimizer.survivors)
+    kind = ResampledAssessment if optimizer.resamples else Assessment
+    return kind(problem, genomes, generation)

@@ -80,7 +80,7 @@ class Logger:
         """
 
     def on_generation(self, generation: Generation) -> None:
-        """Called when a generation ended and is recorded."""
+        """Called when a generation ended; it is recorded soon after."""
 
     def on_champion(self, champion: Controller) -> None:
         """Called for a better controller; for each generation's, if scores do not compare.

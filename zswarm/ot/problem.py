@@ -13,6 +13,7 @@ from zswarm.controller import Controller
 from zswarm.errors import ConfigError, RemoteProtocolError
 from zswarm.experiment import Experiment
 from zswarm.kernels.random import Stream, derive_seed
+from zswarm.ot.assessment import racing
 from zswarm.ot.rankings.ranking import Ranking, Round
 from zswarm.ot.workload import Workload
 from zswarm.plugins import registry as plugins
@@ -105,17 +106,18 @@ class Problem:
         trials = f"{problem.trials} trial{'s' if problem.trials != 1 else ''}"
         return f"<zswarm.Problem: {problem.simulator}, {trials}; {kind}{genes}>"
 
-    def trial_seeds(self, generation: int) -> np.ndarray:
-        """Return the seeds of a generation's trials, (trials,) uint64.
+    def trial_seeds(self, generation: int, trials: int | None = None) -> np.ndarray:
+        """Return the seeds of a generation's trials, (trials,) uint64; of more if it is given.
 
         They are the simulator's own if it fixes them; else they come from the run's seed, and from
         the generation if they are to be fresh.
         """
         problem, seed = self.experiment.problem, self.experiment.seed
         fresh = (generation,) if problem.seeds == "fresh" else ()
-        seeds = None if fresh else self.simulator.fixed_seeds(problem.trials)
+        trials = problem.trials if trials is None else trials
+        seeds = None if fresh else self.simulator.fixed_seeds(trials)
         if seeds is None:
-            seeds = [derive_seed(seed, "trial", n, *fresh) for n in range(problem.trials)]
+            seeds = [derive_seed(seed, "trial", n, *fresh) for n in range(trials)]
         return np.array(seeds, np.uint64)
 
     def workload(
@@ -140,7 +142,10 @@ class Problem:
     def trials_at_once(self, candidates: int | None) -> int | None:
         """Return the trials in the first round of some candidates; None if that is unknown."""
         games = None if candidates is None else self.ranking.next_games(candidates, ())
-        return None if games is None else len(games) * self.experiment.problem.trials
+        trials = self.experiment.problem.trials
+        if self.experiment.assessment.racing:
+            trials = racing.rounds(trials)[0]
+        return None if games is None else len(games) * trials
 
     def played(self, workload: Workload) -> Round:
         """Return the games of a workload with the sums over their trials, added in trial order."""

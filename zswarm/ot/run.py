@@ -5,19 +5,21 @@ import time
 from collections.abc import Callable, Generator, Iterator
 from contextlib import AbstractContextManager
 
+import msgspec
 from msgspec import structs
 
 from zswarm.config.decode import to_json
 from zswarm.config.sections import StopConfig
 from zswarm.controller import HeldOut
 from zswarm.ot.assessment.contest import Contest
+from zswarm.ot.assessment.track import Track
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.events import Counted, Retracted
 from zswarm.ot.cluster.machines import Known
 from zswarm.ot.cluster.matching import RunProgram
 from zswarm.ot.cluster.shell import Cluster, Item
-from zswarm.ot.generation import Assessment
+from zswarm.ot.generation import Assessment, assess
 from zswarm.ot.identity import here
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.notes import Note, RunEvent, words
@@ -42,7 +44,7 @@ def evolve(
     stop: threading.Event,
     obey: Callable[[Cluster], None] = lambda _: None,
 ) -> Generator[Generation, None, Result]:
-    """Evolve from where the record ends to the last generation; yield each one once it is recorded.
+    """Evolve from where the record ends to the last generation; yield each one when it ended.
 
     Servers have the next generation by then: they evaluate it while the caller looks at this one.
 
@@ -77,7 +79,7 @@ def evolve(
             more = generation + 1 < last and not notebook.ends(ended)
             if more:
                 # Servers have work while this generation is recorded.
-                assessment = Assessment(problem, optimizer.ask(), generation + 1)
+                assessment = assess(problem, optimizer, generation + 1)
                 items = cluster.evaluate(assessment.workload)
             yield notebook.finish(ended, state, cluster)
             obey(cluster)
@@ -159,7 +161,7 @@ class _Notebook:
     def begin(self, generation: int) -> Assessment:
         """Ask for the first generation, and restore what is recorded of it."""
         record, optimizer = self._record, self._optimizer
-        assessment = Assessment(self._problem, optimizer.ask(), generation)
+        assessment = assess(self._problem, optimizer, generation)
         record.begin(generation, assessment.workload)
         if not optimizer.portable and (others := record.forget_others()):
             self._logger.on_say(
@@ -192,7 +194,7 @@ class _Notebook:
                 if line := words(item):
                     self._logger.on_say(line)
             case None:
-                self._record.flush()
+                self._record.check()
 
     def leased(
         self, connection: Connection, stop: threading.Event
@@ -288,8 +290,19 @@ class _Notebook:
 
     def end(self, cluster: Cluster, obey: Callable[[Cluster], None]) -> None:
         """Assess the candidates of the run, if there is something to assess; take what is late."""
-        if (contest := Contest.of_run(self._problem, self._record)) is not None:
+        problem, record = self._problem, self._record
+        contest = Contest.of_run(problem, record)
+        track = Track.of_run(problem, record)
+        if contest is not None or track is not None:
+            plan = contest.plan if contest is not None else ""
+            record.begin_assessment(f"{plan}{problem.experiment.assessment.track or ''}")
+        if contest is not None:
             self._assess(contest, cluster, obey)
+        if track is not None:
+            rounds = (contest.round, contest.first) if contest is not None else (0, 0)
+            work = track.workload(*rounds)
+            self._play(work, cluster)
+            record.set_meta("track", msgspec.json.encode(track.result(work)).decode())
         self._record.end()
         for late in cluster.rest():
             self.take(late)
@@ -299,11 +312,8 @@ class _Notebook:
     ) -> None:
         """Race the best candidates on held-out seeds; the winner becomes the champion."""
         record, problem = self._record, self._problem
-        record.begin_assessment(contest.plan)
         while (work := contest.workload()) is not None:
-            record.begin(ASSESSMENT, work)
-            record.restore(work)
-            self.follow(cluster.evaluate(work), work)
+            self._play(work, cluster)
             contest.take(work)
             obey(cluster)
         if (found := contest.champion()) is None:
@@ -317,10 +327,17 @@ class _Notebook:
         record.set_meta("assessment_hash", self._hash)
         self._logger.on_champion(champion)
 
+    def _play(self, work: Workload, cluster: Cluster) -> None:
+        """Play a round of the assessment, but for what is recorded of it."""
+        self._record.begin(ASSESSMENT, work)
+        self._record.restore(work)
+        self.follow(cluster.evaluate(work), work)
+
     def result(self, seconds: float) -> Result:
         """Record the end of the run."""
         record, history = self._record, self._record.history().hex()
         record.set_meta("history_hash", history)
+        record.sync()
         return Result(
             run=str(record.folder),
             generations=self._ended,

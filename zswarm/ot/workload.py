@@ -13,7 +13,8 @@ class Workload:
 
     Attributes:
         generation: for whose evaluation it is; that after the last one for the assessment.
-        round, first: which round of its generation, and the index of its first trial there.
+        round, first: which round of its generation, and how many trials the earlier rounds had.
+        numbers: (trials,) of each in its generation, ascending: what the record has.
         source: the server that a trial was counted for.
     """
 
@@ -25,13 +26,20 @@ class Workload:
         metrics: int,
     ) -> None:
         trials = len(seeds)
-        self.generation = self.round = self.first = 0
         self.genomes, self.participants, self.seeds = genomes, participants, seeds
         self.fitness = np.full(participants.shape, np.nan)
         self.metrics = np.full((trials, metrics), np.nan)
         self.counted = np.zeros(trials, bool)
         self.faulted = np.zeros(trials, bool)
         self.source = np.full(trials, "", object)
+        self.place(0, 0, 0)
+
+    def place(
+        self, generation: int, number: int, first: int, numbers: np.ndarray | None = None
+    ) -> None:
+        """Set which round of which generation it is; by default trials count on from ``first``."""
+        self.generation, self.round, self.first = generation, number, first
+        self.numbers = first + np.arange(len(self.seeds)) if numbers is None else numbers
 
     def retract(self, server: str) -> np.ndarray:
         """Uncount the trials that were counted for a server; return these."""

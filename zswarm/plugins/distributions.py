@@ -3,8 +3,11 @@
 import importlib.util
 from collections.abc import Iterable, Iterator
 from importlib.machinery import EXTENSION_SUFFIXES
-from importlib.metadata import Distribution, PackageNotFoundError, distribution
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from importlib.metadata import Distribution
 
 SCRIPTS = ("console_scripts", "gui_scripts")
 # How and where it was installed, which differs between machines; Python's own bytecode.
@@ -13,7 +16,7 @@ DERIVED = (".pyc", ".pth")
 COMPILED = (*EXTENSION_SUFFIXES, ".so", ".dylib", ".pyd")
 
 
-def plugin_files(package: str, source: Distribution | None) -> list[Path]:
+def plugin_files(package: str, source: "Distribution | None") -> list[Path]:
     """Return all files that may decide what a plug-in computes: code, libraries, maps, weights.
 
     Args:
@@ -30,6 +33,8 @@ def plugin_files(package: str, source: Distribution | None) -> list[Path]:
 
 def compiled_files(name: str) -> list[Path]:
     """Return a distribution's compiled modules."""
+    from importlib.metadata import PackageNotFoundError, distribution
+
     try:
         installed = _installed(distribution(name))
     except PackageNotFoundError:
@@ -54,7 +59,7 @@ def _folder_files(package: str) -> Iterator[Path]:
         yield Path(spec.origin)
 
 
-def _installed(source: Distribution) -> Iterator[Path]:
+def _installed(source: "Distribution") -> Iterator[Path]:
     scripts = {point.name for point in source.entry_points if point.group in SCRIPTS}
     for name in source.files or ():
         # Wrappers name the interpreter; an editable install is a module that names a folder.

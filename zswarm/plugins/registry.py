@@ -10,14 +10,16 @@ import importlib
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from zswarm.config.suggest import nearest
 from zswarm.errors import UnknownPlugin
 from zswarm.plugins import distributions, manifests
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 Kind = Literal["simulator", "representation", "optimizer", "ranking"]
 
@@ -43,6 +45,7 @@ BUNDLED: dict[Kind, dict[str, str]] = {
     },
     "representation": {
         "bulk": "zswarm.nets.bulk:Bulk",
+        "chocolate": "zswarm.nets.chocolate:Chocolate",
         "ctrnn": "zswarm.nets.ctrnn:CTRNN",
         "feed-forward": "zswarm.nets.feed_forward:FeedForward",
         "fully-meshed": "zswarm.nets.fully_meshed:FullyMeshed",
@@ -85,7 +88,10 @@ COMPOSED = {("representation", "bulk")}  # made of the other bundled parts of th
 
 
 @cache
-def _installed(kind: Kind) -> dict[str, EntryPoint]:
+def _installed(kind: Kind) -> dict[str, "EntryPoint"]:
+    # Help and completion do without, which takes 20 ms to import.
+    from importlib.metadata import EntryPoint, entry_points
+
     group = f"zswarm.{kind}s"
     table = {point.name: point for point in entry_points(group=group)}
     return table | {
@@ -119,7 +125,7 @@ def load(kind: Kind, name: str) -> Any:
         ) from error
 
 
-def _entry_point(kind: Kind, name: str) -> EntryPoint:
+def _entry_point(kind: Kind, name: str) -> "EntryPoint":
     table = _installed(kind)
     if name not in table:
         known = names(kind)
@@ -189,7 +195,7 @@ def distribution_versions(kind: Kind, name: str) -> dict[str, str]:
     return {source.name: source.version} if source is not None else {}
 
 
-def _package(point: EntryPoint) -> str:
+def _package(point: "EntryPoint") -> str:
     return point.module.split(".")[0]
 
 

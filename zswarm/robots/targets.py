@@ -23,16 +23,21 @@ class Target(NamedTuple):
         command: compiles, reads or checks the files; {name} is their name, {macro} the prefix of
             C's macros.
         driving: it drives a robot, and takes the profile of that.
+        simulator: the only one whose controllers it takes; empty: any.
     """
 
     make: str
     command: str
     driving: bool = False
+    simulator: str = ""
 
 
 C99 = "cc -std=c99 -O2 -D{macro}_MAIN {name}.c -lm -o {name} && ./{name}"
 PACKAGE = "zswarm.robots.package"
 TARGETS = {
+    "argos": Target(
+        "zswarm.robots.argos.files:files", "cat {name}.argos", simulator="epuck"
+    ),
     "c99": Target("zswarm.robots.c.c99:pair", C99),
     "json": Target("zswarm.robots.json_file:as_json", "python3 -m json.tool {name}.json"),
     "onnx": Target(

@@ -17,6 +17,7 @@ from zswarm.security.members import Holder, Role, new_holder
 from zswarm.security.options import AuthorityOptions, at_authority, repeated
 from zswarm.security.report import say
 from zswarm.system import extras, terminal
+from zswarm.system.version import VERSION
 
 if TYPE_CHECKING:
     from zswarm.security.certificates import Verified
@@ -50,7 +51,7 @@ class _Group(click.Group):
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(package_name="zswarm", prog_name="zswarm-keys")
+@click.version_option(VERSION, prog_name="zswarm-keys")
 def command() -> None:
     """Let only the lab's own people and machines in.
 

@@ -39,7 +39,7 @@ LANES_REACH = 2**31  # lanes find a cell by a 32-bit index
 FEWEST = 2
 
 Length = Annotated[int, Meta(ge=1, le=1_000)]
-JavaSeed = Annotated[int, Meta(ge=0, lt=2**48)]
+RUNS = -1  # in place of a seed: trials have those of the run
 
 
 class EmergencyExitSettings(PartSettings, frozen=True):
@@ -60,7 +60,11 @@ class EmergencyExitSettings(PartSettings, frozen=True):
     ] = 5
     blockades: Annotated[int, within(0, 10_000, "blocked cells of a random field")] = 20
     seed: Annotated[
-        JavaSeed, about("seed of the first field; trials have `seed`, `seed` + 1, ...")
+        Annotated[int, Meta(ge=RUNS, lt=2**48)],
+        about(
+            "seed of the first field; trials have `seed`, `seed` + 1, ...; -1: the run's seeds, "
+            "which may be fresh"
+        ),
     ] = 0
 
 
@@ -81,8 +85,8 @@ class EmergencyExit(CompiledSimulator):
     Fitness: (steps - f) / steps - sum over agents of the distance to the nearest exit; f is the
         first round (from 0) after which all agents were out, else ``steps``. At most 1.
     Metrics: ``escaped`` agents; ``rounds`` until all were out (f + 1), or ``steps``.
-    Trial seeds: ``seed``, ``seed`` + 1, ... of the settings, as in FREVO; the stadium is the same
-    for every seed.
+    Trial seeds: ``seed``, ``seed`` + 1, ... of the settings, as in FREVO, unless it is -1; the
+    stadium is the same for every seed.
     """
 
     settings_type = EmergencyExitSettings
@@ -112,9 +116,10 @@ class EmergencyExit(CompiledSimulator):
             self.fields = RandomFields(settings.width, settings.height, counts)
         self.owners = (0,) * self.fields.agents
 
-    def fixed_seeds(self, trials: int) -> Sequence[int]:
-        """Return consecutive seeds from the settings' ``seed`` on."""
-        return range(self.settings.seed, self.settings.seed + trials)
+    def fixed_seeds(self, trials: int) -> Sequence[int] | None:
+        """Return consecutive seeds from the settings' ``seed`` on; None if it is -1."""
+        first = self.settings.seed
+        return None if first == RUNS else range(first, first + trials)
 
     def reset(self, seed: int) -> Turn:
         """Lay out the field of a seed; the first agent acts next."""

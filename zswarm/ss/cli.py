@@ -8,6 +8,8 @@ from typing import Any
 import click
 from click import option
 
+from zswarm.system.version import VERSION
+
 CONTEXT = {"help_option_names": ["-h", "--help"]}
 COUNT = click.IntRange(1, 65_535)
 LEVELS = click.Choice(["debug", "info", "warning", "error"])
@@ -49,7 +51,7 @@ def _split(_context: click.Context, _option: click.Parameter, text: str | None) 
 @option(
     "--until-stdin-closes", is_flag=True, hidden=True, help="End with the parent program."
 )
-@click.version_option(package_name="zswarm", prog_name="zswarm-ss")
+@click.version_option(VERSION, prog_name="zswarm-ss")
 def command(
     config: Path | None, log_level: str, until_stdin_closes: bool, **given: Any
 ) -> None:

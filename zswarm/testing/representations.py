@@ -158,6 +158,10 @@ def _check_changes(network: Representation, genomes: list[bytes]) -> None:
     children = [network.crossover(a, b, stream) for a, b in pairwise(genomes)]
     text = ".crossover: a child equals its mother and has nothing of its father"
     require(children != genomes[:-1], text)
+    if network.crossover_draws is not None:
+        text = f".crossover_draws: expected {network.crossover_draws} words for each crossover"
+        expected = len(children) * network.crossover_draws
+        require(stream.position == expected, f"{text}, not {stream.position} for all")
 
 
 def _check_distances(network: Representation, genomes: list[bytes]) -> None:
@@ -173,6 +177,12 @@ def _check_distances(network: Representation, genomes: list[bytes]) -> None:
         text = ".distances: a pair's distance depends on the other genomes; "
         text += "numpy may add in another order"
         require(np.array_equal(some, distances[:left, -right:]), text)
+    pairs = np.arange(count)[:, None]
+    for columns in (1, 3):
+        others = (pairs + 1 + np.arange(columns)) % count
+        some = network.distances_between(genomes, pairs[:, 0], others)
+        text = ".distances_between: other bits than .distances"
+        require(np.array_equal(some, distances[pairs, others]), text)
 
 
 def _check_refusals(network: Representation, genome: bytes) -> None:

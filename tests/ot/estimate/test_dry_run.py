@@ -76,6 +76,7 @@ def test_the_evaluations_are_counted_as_the_optimizer_asks_for_them(islands: int
         ("minisim", [], 1863),
         ("minisim", ["assessment.budget=0.5"], 9315),
         ("minisim", ["assessment.budget=0"], 0),
+        ("minisim", ["assessment.budget=0", "assessment.track=10"], 500),
         ("minisim", ["generations=2", "problem.trials=2"], 0),  # less than a race takes
         ("stadium", [], 0),  # its trials do not differ
         ("minisim-duel", [], 0),

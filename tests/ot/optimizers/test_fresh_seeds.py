@@ -35,7 +35,8 @@ KINDS = sorted(set(registry.names("optimizer")))
 
 
 def loaded(kind: str, *overrides: str) -> experiment.Experiment:
-    more = ["generations=5", "problem.trials=2", "problem.seeds=fresh", *overrides]
+    own = ["problem.seeds=fresh", "problem.settings.seed=-1"]
+    more = ["generations=5", "problem.trials=2", *own, *overrides]
     mapping = experiment.to_mapping(
         experiment.load(experiment.find("stadium"), [*more, "assessment.budget=0"])
     )

@@ -13,9 +13,17 @@ from zswarm.evaluate import build, evaluate
 from zswarm.kernels.random import Stream
 from zswarm.kernels.sums import mean
 from zswarm.nets.fully_meshed import FullyMeshed, FullyMeshedSettings
+from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers import nnga
 from zswarm.ot.optimizers.breeding import MOST, STRIP, distances_of_pairs
-from zswarm.ot.optimizers.nnga import NNGA, OPERATORS, REPEATS, SUITORS, NNGASettings
+from zswarm.ot.optimizers.nnga import (
+    AGAIN,
+    NNGA,
+    OPERATORS,
+    REPEATS,
+    SUITORS,
+    NNGASettings,
+)
 from zswarm.ot.record.history_hash import History
 from zswarm.testing import check_optimizer
 
@@ -768,6 +776,11 @@ class Counting(FullyMeshed):
         self.calls["pairs"] += len(left) * len(right)
         return super().distances(left, right)
 
+    def distances_between(self, genomes: Any, left: Any, right: Any) -> np.ndarray:
+        self.calls["between"] += 1
+        self.calls["pairs"] += right.size
+        return super().distances_between(genomes, left, right)
+
 
 @pytest.mark.parametrize("population", [50, 500])
 def test_a_generation_asks_the_representation_once_for_all_and_once_for_each_child(
@@ -784,8 +797,51 @@ def test_a_generation_asks_the_representation_once_for_all_and_once_for_each_chi
     optimizer.ask()
     children = network.calls.pop("crossover")
     assert 0.3 * population <= children <= 0.3 * population + REPEATS
-    assert network.calls.pop("pairs") == SUITORS * children
-    assert network.calls == {"random": 1, "mutate": 1, "distances": children}
+    asked = network.calls.pop("between")
+    prepared = int(0.3 * population) + AGAIN * (asked - 1)
+    assert children <= prepared < children + AGAIN
+    assert network.calls.pop("pairs") == SUITORS * prepared
+    assert network.calls == {"random": 1, "mutate": 1}
+
+
+class OneByOne(FullyMeshed):
+    """Has parents chosen for one child at a time, and each distance computed alone."""
+
+    crossover_draws = None
+    distances_between = Representation.distances_between
+
+
+class OftenMore(FullyMeshed):
+    """Draws more words for some crossovers than is expected of it."""
+
+    def crossover(self, mother: bytes, father: bytes, stream: Stream) -> bytes:
+        child = super().crossover(mother, father, stream)
+        return child if child[0] % 3 else super().crossover(child, mother, stream)
+
+
+class OftenMoreOneByOne(OftenMore, OneByOne):
+    """Draws as ``OftenMore``, and has parents chosen one by one."""
+
+
+@pytest.mark.parametrize(
+    ("one_by_one", "at_once"), [(OneByOne, FullyMeshed), (OftenMoreOneByOne, OftenMore)]
+)
+@pytest.mark.parametrize("islands", [1, 3])
+def test_parents_chosen_at_once_are_those_chosen_one_by_one(
+    one_by_one: type[FullyMeshed], at_once: type[FullyMeshed], islands: int
+) -> None:
+    settings = NNGASettings(population=20, islands=islands, exchange_interval=2)
+    optimizers = [
+        NNGA(settings, kind(FullyMeshedSettings(), 2, 1), 3)
+        for kind in (one_by_one, at_once)
+    ]
+    fitness = Stream(4)
+    for _ in range(8):
+        asked, same = (optimizer.ask() for optimizer in optimizers)
+        assert asked == same
+        values = fitness.uniform(0.0, 1.0, len(asked))
+        for optimizer in optimizers:
+            optimizer.tell(values)
 
 
 # ---- the contract

@@ -16,7 +16,7 @@ def record(tmp_path: Path) -> Iterator[Record]:
         tmp_path, complete("lab", "problem.trials=2"), "hash", ["escaped", "rounds"]
     )
     evolve(made)
-    made.flush()
+    made.sync()
     yield made
     made.close()  # some tests did so themselves
 

@@ -72,7 +72,7 @@ class Runs:
             record.begin(2, work)
             for counted in islice(Genes().play(work), 2):
                 record.add(counted, work)
-            record._database.write_now()
+            record.sync()
             self.killed = Path(shutil.copytree(record.folder, parent / "killed"))
             record._database._connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
             self.stopped = Path(shutil.copytree(record.folder, parent / "stopped"))

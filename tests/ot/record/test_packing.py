@@ -50,7 +50,8 @@ def test_a_recorded_state_refers_to_genomes_of_several_generations(
 def test_a_value_that_sqlite_refuses_is_one_line(tmp_path: Path) -> None:
     record = Record.create(tmp_path, complete(), "hash")
     record._database._connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, 1000)
+    record.finish(0, [b"x" * 2000], np.zeros(1), STATISTICS, {})
     with pytest.raises(ConfigError, match="cannot be recorded: string or blob too big"):
-        record.finish(0, [b"x" * 2000], np.zeros(1), STATISTICS, {})
+        record.sync()
     with pytest.raises(ConfigError, match="cannot be recorded"):
         record.close()

@@ -98,6 +98,7 @@ def test_an_active_run_is_read_up_to_its_last_commit(record: Record) -> None:
         4,
     )
     record.finish(2, [b"x"], np.array([9.0]), {"best": 9.0, "mean": 9.0}, {})
+    record.sync()
     assert (run.best(), len(run.history())) == (9.0, 3)
     record.close()
     assert not run.going_on

@@ -33,6 +33,7 @@ def test_runs_are_listed_with_the_damaged_ones_named(folder: Path) -> None:
 
 def test_an_active_run_is_listed_with_what_it_has_committed(record: Record) -> None:
     record.set_meta("history_hash", "0" * 32)
+    record.sync()
     assert [row["history_hash"] for row in list_runs(record.folder.parent)] == ["0" * 32]
 
 

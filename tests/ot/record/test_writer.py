@@ -5,6 +5,7 @@ import hashlib
 import os
 import sqlite3
 import struct
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,7 +19,7 @@ from zswarm.controller import Controller, load_controller
 from zswarm.errors import ConfigError
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note
-from zswarm.ot.record import database as database_module
+from zswarm.ot.record import commits as commits_module
 from zswarm.ot.record.folder import load_experiment
 from zswarm.ot.record.history_hash import History
 from zswarm.ot.record.opening import SECRET
@@ -195,6 +196,7 @@ def test_a_large_generation_is_recorded_whole_and_in_order(record: Record) -> No
         np.arange(count) / 7,
     )
     record.finish(0, genomes, fitness, STATISTICS, {})
+    record.sync()
     rows = query(
         record.folder,
         "SELECT candidate, genome, fitness FROM candidates WHERE generation = 0 ORDER BY candidate",
@@ -408,27 +410,23 @@ class Disk:
 
     def __init__(self, record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
         self.lines: list[str] = []
-        self.waits = 0
-        self._connection = record._database._connection
-        self._room_after = 0
+        self._record, self._connection = record, record._database._connection
         record.say = self.lines.append
-        monkeypatch.setattr(database_module, "COMMIT_S", 0.0)
-        monkeypatch.setattr(database_module, "RETRY_S", 0.0)
-        monkeypatch.setattr(time, "sleep", self._sleep)
+        monkeypatch.setattr(commits_module, "RETRY_S", 0.001)
 
-    def fill(self, waits: int = 0) -> None:
-        """Make SQLite report a full disk until the program has waited so often."""
-        self._room_after = self.waits + waits
+    def fill(self) -> None:
+        """From now on SQLite reports a full disk."""
         self._connection.execute("PRAGMA max_page_count = 1")  # no more than there are
 
     def make_room(self) -> None:
         self._connection.execute("PRAGMA max_page_count = 1000000")
 
-    def _sleep(self, _seconds: float) -> None:
-        self.waits += 1
-        assert self.waits < 100, "waited for ever"
-        if self.waits == self._room_after:
-            self.make_room()
+    def until_said(self, lines: int) -> None:
+        deadline = time.monotonic() + 60.0
+        while len(self.lines) < lines:
+            assert time.monotonic() < deadline, self.lines
+            self._record.check()
+            time.sleep(0.001)
 
 
 @pytest.fixture
@@ -446,40 +444,74 @@ def add_many(record: Record, rows: int) -> None:
 
 def test_outcomes_wait_for_room_on_a_full_disk(record: Record, disk: Disk) -> None:
     disk.fill()
-    add_many(record, 5)
+    add_many(record, 5)  # the current generation continues
+    disk.until_said(1)
     assert disk.lines == [
         f"the disk of {record.folder} is full: waiting for room; nothing is lost"
     ]
     assert query(record.folder, "SELECT count(*) FROM outcomes") == [(0,)], (
         "half of what belongs together was written"
     )
-    assert disk.waits == 0, "the current generation continues"
     disk.make_room()
-    record.flush()
+    disk.until_said(2)
     assert disk.lines[1:] == [
         f"the disk of {record.folder} takes data again: the run continues"
     ]
     assert query(record.folder, "SELECT id, count FROM outcomes") == [
         (id_, 250) for id_ in range(1, 6)
     ]
+    record.sync()
     disk.fill()
     add_many(record, 5)
-    assert len(disk.lines) == 3, "the next time is told again"
+    disk.until_said(3)  # the next time is told again
     disk.make_room()
     record.close()
     assert query(record.folder, "SELECT event FROM events") == [("disk_waited",)]
     assert len(disk.lines) == 3, "no line is printed when everything was written"
 
 
-def test_a_generation_ends_when_it_is_on_the_disk(record: Record, disk: Disk) -> None:
-    disk.fill(waits=3)
+def test_a_generation_waits_for_the_disk_that_is_behind(
+    record: Record, disk: Disk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also an outage: the run does not go on with what it cannot record."""
+    monkeypatch.setattr(commits_module, "UNSYNCED_S", 0.0)
+    disk.fill()
+    threading.Timer(0.05, disk.make_room).start()
     record.finish(0, [b"genome" * 5000], np.array([1.0]), STATISTICS, {"at": 0})
-    assert disk.waits == 3
     assert query(record.folder, "SELECT generation FROM generations") == [(0,)]
+    disk.until_said(2)
     assert [line.rpartition(":")[0].split()[-1] for line in disk.lines] == [
         "full",
         "again",
     ]
+
+
+def test_a_generation_does_not_wait_for_a_disk_that_is_not_behind(
+    record: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = workload()
+    record.begin(0, work)
+    record.finish(0, work.genomes, np.ones(3), STATISTICS, {})
+    record.sync()
+    monkeypatch.setattr(commits_module, "COMMIT_S", 3600.0)
+    monkeypatch.setattr(commits_module, "UNSYNCED_S", 3600.0)
+    for generation in (1, 2):
+        record.begin(generation, work)
+        record.finish(generation, work.genomes, np.ones(3), STATISTICS, {})
+    finished = "SELECT generation FROM generations"
+    assert query(record.folder, finished) == [(0,)]
+    record.sync()
+    assert query(record.folder, finished) == [(0,), (1,), (2,)]
+
+
+def test_large_genomes_are_on_the_disk_when_their_generation_ends(
+    record: Record, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They are not held in memory twice."""
+    monkeypatch.setattr(commits_module, "COMMIT_S", 3600.0)
+    monkeypatch.setattr("zswarm.ot.record.writer.LARGE", 100)
+    record.finish(0, [b"genome" * 50], np.array([1.0]), STATISTICS, {})
+    assert query(record.folder, "SELECT generation FROM generations") == [(0,)]
 
 
 def test_a_run_stopped_on_a_full_disk_says_what_is_evaluated_again(
@@ -487,6 +519,7 @@ def test_a_run_stopped_on_a_full_disk_says_what_is_evaluated_again(
 ) -> None:
     disk.fill()
     add_many(record, 5)
+    disk.until_said(1)
     record.close()
     assert disk.lines[1:] == [
         f"{record.folder} cannot be written (No space left on device): resume evaluates 1250 "
@@ -500,6 +533,7 @@ def test_the_champion_waits_for_the_disk_too(
     record: Record, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     record.champion(CHAMPION)
+    record.sync()
     fsync, failures = os.fsync, iter(range(2))
 
     def failing(file: int) -> None:
@@ -511,15 +545,16 @@ def test_the_champion_waits_for_the_disk_too(
     monkeypatch.setattr(os, "fsync", failing)
     better = msgspec.structs.replace(CHAMPION, fitness=2.0)
     record.champion(better)
+    record.sync()
     assert load_controller(record.folder) == better
-    assert disk.waits == 2
+    assert "is full" in disk.lines[0]
 
 
 def test_every_statement_of_a_record_can_be_repeated(
     record: Record, disk: Disk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A commit reports a failure after the data are on the disk."""
-    transact = database_module.transact
+    transact = commits_module.transact
 
     def done_and_failed(*arguments: object) -> None:
         transact(*arguments)  # type: ignore[arg-type]
@@ -528,25 +563,27 @@ def test_every_statement_of_a_record_can_be_repeated(
         error.sqlite_errorcode = sqlite3.SQLITE_IOERR_FSYNC
         raise error
 
-    monkeypatch.setattr(database_module, "transact", done_and_failed)
+    monkeypatch.setattr(commits_module, "transact", done_and_failed)
     work = workload()
     record.begin(0, work)
     record.add(count(work, [0, 1, 2], 1.0), work)
     record.note(Note("requeued", count=7))
     record.finish(0, work.genomes, np.ones(3), STATISTICS, {})
+    record.sync()
     assert query(record.folder, "SELECT id, count FROM outcomes") == [(1, 3)]
     assert record.counts()["requeued"] == 7
     assert record.evaluations() == 3
-    assert len(disk.lines) == 2
+    disk.until_said(2)
 
 
 def test_a_folder_that_is_moved_away_ends_the_run(record: Record, tmp_path: Path) -> None:
     """SQLite would continue to write to it; a resume at the old place would not find it."""
     record.folder.rename(tmp_path / "moved")
+    record.set_meta("probe", b"x")
     with pytest.raises(
         ConfigError, match="moved, removed or unmounted while the run went on"
     ):
-        record.set_meta("probe", b"x")
+        record.sync()
     with pytest.raises(ConfigError, match="moved, removed"):
         record.close()
     Record.open(tmp_path / "moved")[0].close()
@@ -589,5 +626,6 @@ def test_a_record_is_created_completely_or_not_at_all(
 
 def test_a_champion_is_read_back_whole(record: Record) -> None:
     record.champion(CHAMPION)
+    record.sync()
     assert load_controller(record.folder) == CHAMPION
     assert load_controller(record.folder / "champion.zsc") == CHAMPION

@@ -10,7 +10,8 @@ from tests.sims.epuck.recorded import place, world
 from zswarm.errors import ConfigError
 from zswarm.evaluate import build
 from zswarm.kernels.jit import interpreted
-from zswarm.sims.epuck import missions, trial
+from zswarm.sims.epuck import generated, missions, trial
+from zswarm.sims.epuck.arenas import HEXAGON, THIRD, TRIANGLE, disc
 from zswarm.sims.epuck.missions import NAMES
 from zswarm.sims.epuck.simulator import Epuck, EpuckSettings
 from zswarm.sims.epuck.world import ANGLE, RADIUS, TOUCHES, X, Y
@@ -98,6 +99,80 @@ def test_robots_start_apart_in_the_disc() -> None:
             assert (apart[~np.eye(20, dtype=bool)] >= 2 * RADIUS).all()
             assert (np.sqrt(x * x + y * y) <= 1.2).all()
             assert (made.robots[ANGLE] >= 0.0).all()
+
+
+def test_generated_missions_have_the_published_distribution() -> None:
+    """Shares are within three deviations of 2,000 draws; a seed always draws the same."""
+    drawn = [generated.mission(seed) for seed in range(2_000)]
+    assert drawn[:20] == [generated.mission(seed) for seed in range(20)]
+    for share, count in [
+        (0.2, sum(one.score == "deliveries" for one in drawn)),
+        (0.4, sum(one.score == "homing" for one in drawn)),
+        (0.5, sum(one.robots == 15 for one in drawn)),
+        (0.25, sum(one.seconds == 60.0 for one in drawn)),
+        (1 / 3, sum(one.arena is TRIANGLE.arena for one in drawn)),
+        (0.1, sum(len(one.walls) == 3 for one in drawn)),
+        (0.41, sum(one.lamp[-1] > 0.0 for one in drawn)),
+        (0.4, sum(one.at_end for one in drawn)),
+    ]:
+        deviation = math.sqrt(2_000 * share * (1 - share))
+        assert abs(count - 2_000 * share) < 3 * deviation, share
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3, 7, 9, 13])
+def test_robots_of_generated_missions_start_inside_and_apart(seed: int) -> None:
+    """Also on one side, or off all spots; the picture has all of them."""
+    simulator = Epuck(EpuckSettings(mission="generated", mission_seed=seed))
+    made, mission = simulator.world, generated.mission(seed)
+    with interpreted():
+        trial.start(made, np.uint64(seed))
+    x, y = made.robots[[X, Y]]
+    apart = np.sqrt((x - x[:, None]) ** 2 + (y - y[:, None]) ** 2)
+    assert (apart[~np.eye(made.number, dtype=bool)] >= 2 * RADIUS).all()
+    for wall in mission.arena.outer:
+        away = math.hypot(wall[0], wall[1]) - wall[2]
+        assert ((x * wall[0] + y * wall[1]) / math.hypot(*wall[:2]) < away).all()
+    frame = simulator.frame()
+    robots = [body for body in frame.bodies if body.kind.startswith("robot")]
+    assert len(robots) == mission.robots
+    assert all(0.0 < body.x < frame.width for body in frame.bodies if body.kind != "lamp")
+
+
+def test_robots_at_home_count_in_each_step_or_at_the_end() -> None:
+    home = HEXAGON.arena.around * THIRD
+    made = world(3, "homing")
+    with interpreted():
+        for robot, y in enumerate((home, home - 0.29, 0.0)):
+            place(made, robot, 0.0, y, 0.0)
+        missions.score(made)
+        missions.score(made)
+        assert made.tally[0] == 4.0
+        missions.score(made._replace(at_end=1))
+        assert made.tally[0] == 2.0
+
+
+def test_the_home_with_most_robots_counts_as_a_share() -> None:
+    made = world(4, "homing")
+    floor = np.array([disc(0.5, 0.0, 0.3), disc(-0.5, 0.0, 0.3)], np.float64)
+    made = made._replace(mission=missions.ONE_SPOT, floor=floor, spots=2)
+    with interpreted():
+        for robot, x in enumerate((0.5, 0.4, -0.5, 0.0)):
+            place(made, robot, x, 0.0, 0.0)
+        missions.score(made)
+    assert made.tally[0] == 0.5
+
+
+def test_objects_go_from_any_source_to_any_nest() -> None:
+    made = world(1, "homing")
+    floor = np.array(
+        [disc(0.0, 0.8, 0.3), disc(0.0, -0.8, 0.3), disc(0.0, 0.0, 0.15)], np.float64
+    )
+    made = made._replace(mission=missions.DELIVERIES, floor=floor, spots=2)
+    with interpreted():
+        for y in (0.8, 0.0, -0.3, -0.7, 0.7, 0.1, 0.6):
+            place(made, 0, 0.0, y, 0.0)
+            missions.score(made)
+    assert made.tally[0] == 2.0
 
 
 def turns(settings: dict[str, Any]) -> list[bytes]:

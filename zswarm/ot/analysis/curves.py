@@ -30,6 +30,8 @@ class Series(NamedTuple):
     # Mean of the champion on held-out seeds, and its 95 % interval.
     held_out: tuple[float, float, float] | None = None
     relative: bool = False  # fitness is a score, and best is that of the generation
+    # (tracked, 4): generation, and mean of its best on held-out seeds with its 95 % interval.
+    track: np.ndarray = np.empty((0, 4))
 
 
 Groups = Mapping[str, Sequence[Series]]
@@ -75,7 +77,19 @@ def series(run: "Run") -> Series:
         np.cumsum(seconds),
         held_out,
         run.relative,
+        _track(run, len(history)),
     )
+
+
+def _track(run: "Run", generations: int) -> np.ndarray:
+    """Return the tracked generations whose best did not fail, with a known interval: (n, 4)."""
+    found = [
+        (one.generation, one.held_out.mean, one.held_out.low, one.held_out.high)
+        for one in run.track
+        if 0 <= one.generation < generations
+    ]
+    known = [row for row in found if None not in row]
+    return np.array(known, np.float64).reshape(-1, 4)
 
 
 def load(

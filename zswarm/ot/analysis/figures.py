@@ -6,7 +6,7 @@ The same runs and the same matplotlib give the same bytes.
 import contextlib
 import importlib.util
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -20,7 +20,6 @@ from zswarm.ot.analysis.drawing import MAX_GROUPS, SIZES, CurveLine, Plot, Size
 from zswarm.system.extras import need
 from zswarm.system.files import write_for_user
 from zswarm.system.format import plural
-from zswarm.system.text import clean
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -116,31 +115,21 @@ def plain_style() -> None:
     need("matplotlib", "plot", "plot").rcdefaults()
 
 
-def save_picture(folder: Path, say: Callable[[str], None]) -> None:
-    """Write ``fitness.png`` into the folder of a run or study.
+def save_picture(folder: Path) -> None:
+    """Write ``fitness.png`` into the folder of a run or study, in a program of its own.
 
-    Before the first generation, or without the extra ``plot``, no picture is written.
-
-    Args:
-        say: called with a line if it cannot be drawn, which is not an error.
+    Before the first generation, or without the extra ``plot``, no picture is written. If it
+    cannot be drawn, there is none: the run is recorded, and ``plot`` reports the reason.
     """
     from zswarm.ot.analysis import grouping
     from zswarm.ot.record.run_index import runs_below
 
     if importlib.util.find_spec("matplotlib") is None:
         return
-    try:
+    with contextlib.suppress(ConfigError):
         groups, _ = curves.load(grouping.groups(runs_below([folder], [])))
         if curves.started(groups):
             save(of_series(groups, title=folder.resolve().name), folder / PICTURE)
-    except Exception as error:
-        # The run is over and safe: nothing that drawing raises may end it.
-        what = (
-            str(error)
-            if isinstance(error, ConfigError)
-            else f"{type(error).__name__}: {error}"
-        )
-        say(f"no {PICTURE}: {clean(what)}")
 
 
 def table(groups: Groups, axis: Axis) -> tuple[list[str], list[list[object]]]:
@@ -186,6 +175,10 @@ def _of_one(run: Series, best: Curve, axis: Axis) -> list[CurveLine]:
         CurveLine(top, best.x, best.median),
         CurveLine("population mean", x, mean, noisy=True),
     ]
+    if len(run.track):
+        numbers, middle, low, high = run.track.T
+        at = curves.positions(run, axis)[numbers.astype(int)]
+        lines.append(CurveLine("best, held-out", at, middle, (low, high)))
     if run.held_out is not None and len(best.x):
         ends = best.x[[0, -1]]
         level, low, high = (np.full(2, value) for value in run.held_out)

@@ -32,6 +32,7 @@ class Contest:
 
     Attributes:
         plan: a text that is equal for an assessment with the same trials.
+        round, first: the next round, and how many trials were played before it.
     """
 
     def __init__(
@@ -46,7 +47,7 @@ class Contest:
         self._problem, self._in_search = problem, in_search
         self._race = Race(len(genomes), budget, differ=differ)
         self._genomes = list(genomes[: self._race.candidates])
-        self._round = self._first = 0
+        self.round = self.first = 0
         digests = [digest(genome).hex() for genome in self._genomes]
         self.plan = json.dumps([problem.experiment.seed, budget, differ, digests])
 
@@ -55,7 +56,9 @@ class Contest:
         """Return what is to be assessed of a run after its last generation, or None."""
         complete = problem.experiment
         trials = complete.problem.trials
-        budget = most_trials(problem, record.evaluations() * trials)
+        raced = complete.assessment.racing
+        searched = record.trials() if raced else record.evaluations() * trials
+        budget = most_trials(problem, searched)
         if not budget:
             return None
         found = record.contenders(complete.assessment.candidates)
@@ -81,13 +84,12 @@ class Contest:
         metrics = len(self._problem.simulator.metrics)
         numbers = np.array(seeds, np.uint64)
         work = Workload(self._genomes, players.reshape(-1, 1), numbers, metrics)
-        work.generation = self._problem.experiment.generations
-        work.round, work.first = self._round, self._first
+        work.place(self._problem.experiment.generations, self.round, self.first)
         return work
 
     def take(self, workload: Workload) -> None:
         """Take the outcomes of the trials that were to be played."""
-        self._round, self._first = self._round + 1, self._first + len(workload.seeds)
+        self.round, self.first = self.round + 1, self.first + len(workload.seeds)
         self._race.take(workload.fitness[:, 0] + 0.0, workload.metrics + 0.0)
 
     def champion(self) -> tuple[bytes, HeldOut] | None:
@@ -131,7 +133,7 @@ def unfit(problem: Problem) -> str:
 
 
 def check(problem: Problem, candidates: int | None) -> None:
-    """Refuse a budget that is given and cannot be used.
+    """Refuse a budget that is given and cannot be used, and a track that has no generation.
 
     Args:
         candidates: most of a generation; None: unknown.
@@ -141,6 +143,13 @@ def check(problem: Problem, candidates: int | None) -> None:
     """
     complete = problem.experiment
     budget = complete.assessment.budget
+    if (track := complete.assessment.track) and (why := unfit(problem)):
+        raise ConfigError(f"assessment: track: expected 0, not {track}: {why}")
+    if track > complete.generations:
+        raise ConfigError(
+            f"assessment: track: expected at most the {complete.generations} generations, not "
+            f"{track}"
+        )
     if budget == "auto" or not budget:
         return
     if why := unfit(problem):

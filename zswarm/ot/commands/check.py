@@ -149,7 +149,8 @@ def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
         "optimizer",
         f"{e.optimizer}: {first:,} candidates in the first generation{then}",
     )
-    work = f"{e.evaluations:,} evaluations, {e.simulations:,} simulations"
+    most = "at most " if complete.assessment.racing else ""
+    work = f"{e.evaluations:,} evaluations, {most}{e.simulations:,} simulations"
     if e.assessment_simulations:
         work += f", and {e.assessment_simulations:,} to assess the champion"
     yield "work", work

@@ -54,10 +54,11 @@ def command(
 ) -> None:
     """Write a run's champion as files for robots and other programs.
 
-    Except for onnx, it decides there bit for bit as in evolution; every file comes with reference
-    steps to check that.
+    Except for onnx and argos, it decides there bit for bit as in evolution; every file comes with
+    reference steps to check that.
 
     \b
+      argos   for e-pucks in ARGoS: NEAT's genome, or AutoMoDe's machine
       c99     C without malloc, for any processor
       python  one Python file that needs only numpy
       json    a documented file for third-party programs

@@ -1,4 +1,4 @@
-"""``zswarm-ot import``: make a run's folder from a result of FREVO."""
+"""``zswarm-ot import``: make a run's folder from a file of FREVO or ARGoS."""
 
 from pathlib import Path
 
@@ -12,15 +12,26 @@ MENU = ("Results", 9)
 
 
 @click.command("import")
-@click.argument("path", type=options.PATH, metavar="RESULT.zre")
+@click.argument("path", type=options.PATH, metavar="FILE")
 @options.out_option
+@options.set_option_of(
+    "experiment around a controller of ARGoS", "problem.settings.mission=foraging"
+)
 @options.json_option
-def command(path: Path, out: Path, as_json: bool) -> None:
-    """Make a run's folder from a result of FREVO: fully-meshed nets for Emergency Exit."""
-    from zswarm.ot.commands.shared import frevo
+def command(path: Path, out: Path, overrides: tuple[str, ...], as_json: bool) -> None:
+    """Make a run's folder from a result of FREVO, or from a controller of ARGoS.
 
-    result = frevo.load(path)
-    made = frevo.record(result, out)
+    FREVO: a file .zre with fully-meshed nets for Emergency Exit. ARGoS: an e-puck's controller as
+    ARGoS3-NEAT's genome, also EvoStick's, or AutoMoDe-Chocolate's machine.
+
+    \b
+      zswarm-ot import "Emergency Exit_g199 (0.46).zre"
+      zswarm-ot import gen_last_1_champ --set problem.settings.mission=foraging
+    """
+    from zswarm.ot.commands.shared import imported
+
+    result = imported.load(path, overrides)
+    made = imported.record(result, out)
     fitness = made.champion.fitness
     if as_json:
         tables.print_json(
@@ -36,8 +47,16 @@ def command(path: Path, out: Path, as_json: bool) -> None:
         return
     for line in (result.source, *result.notes):
         tables.line(line)
-    count = plural(len(result.genomes), "candidate")
-    tables.line(f"{count}, best fitness {fitness:.6g} according to FREVO")
+    if result.experiment.problem.simulator == "epuck":
+        settings = result.experiment.problem.settings
+        trials = plural(result.experiment.problem.trials, "trial")
+        tables.line(
+            f"{result.experiment.representation.kind}; {settings['mission']}, {trials} here: "
+            f"fitness {fitness:.6g}"
+        )
+    else:
+        count = plural(len(result.genomes), "candidate")
+        tables.line(f"{count}, best fitness {fitness:.6g} according to FREVO")
     if made.played == fitness:
         tables.line("the best was played here: the same fitness")
     elif made.played is not None:

@@ -13,7 +13,7 @@ import numpy as np
 from zswarm import evaluate, experiment
 from zswarm.config import ranges
 from zswarm.experiment import Experiment
-from zswarm.ot.assessment import contest
+from zswarm.ot.assessment import contest, track
 from zswarm.ot.build import Parts
 from zswarm.ot.estimate.sample import MOST_BRED, breed, counted, rounds
 from zswarm.ot.problem import Problem
@@ -157,6 +157,7 @@ def _work(
         + PARTICIPANT * (simulator.participants - 1)
     )
     assessed = 0 if sample.same else contest.most_trials(problem, simulations)
+    assessed += track.SEEDS * len(track.generations(complete))
     record = evaluations * (genome_bytes + CANDIDATE)
     record += (simulations + assessed) * trial
 

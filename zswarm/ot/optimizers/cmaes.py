@@ -14,8 +14,10 @@ from msgspec import Meta
 from zswarm.config.meta import PartSettings, about
 from zswarm.kernels.random import Stream, derive_seed
 from zswarm.nets.representation import Representation
+from zswarm.ot.optimizers import uncertainty
 from zswarm.ot.optimizers.adapter import Adapter, Separable, Sigma, default_population
 from zswarm.ot.optimizers.base import setting_error
+from zswarm.ot.optimizers.uncertainty import Evaluations
 from zswarm.system.extras import need
 
 GROWTH = 2  # of the population from restart to restart
@@ -41,13 +43,15 @@ class CmaesSettings(PartSettings, frozen=True):
     largest: Annotated[
         Count, about("largest population after restarts; 0: 16 times the first")
     ] = 0
+    evaluations: Evaluations = 1
 
 
 class CMAES(Adapter):
     """Learns a normal distribution of genomes: mean, step size, correlations; few candidates.
 
     The first mean is zero, that of a restart uniform in the ranges. Statistics: sigma (in ranges),
-    condition (of the covariance: longest by shortest axis, squared), population, restarts.
+    condition (of the covariance: longest by shortest axis, squared), population, restarts; with
+    ``evaluations`` above 1 evaluated (how often each candidate was), noise (of ranks).
     Portable: no. It accepts relative fitness.
     """
 
@@ -70,6 +74,12 @@ class CMAES(Adapter):
             text = f"expected 0, or at least the population of {self._first}"
             raise setting_error("largest", f"{text}, not {settings.largest}")
         self.candidates = self._first if settings.restarts == "none" else self._largest
+        self.resamples = settings.evaluations > 1
+        if self.resamples:
+            self.candidates = settings.evaluations * (
+                self.candidates + uncertainty.again(self.candidates)
+            )
+        self._effort = 1.0  # see uncertainty
         self._restarts = 0
         self._grown = 0  # starts with a larger population
         # Whether this is one of bipop's small starts; the first one counts.
@@ -79,7 +89,27 @@ class CMAES(Adapter):
         self._search = self._start(self._first, settings.sigma, np.zeros(self.genes))
 
     def _propose(self) -> np.ndarray:
-        return np.array([self._search.ask() for _ in range(self._search.population_size)])
+        count = self._search.population_size
+        proposed = np.array([self._search.ask() for _ in range(count)])
+        return proposed[self._rows()] if self.resamples else proposed
+
+    def _rows(self) -> np.ndarray:
+        return uncertainty.rows(self._search.population_size, self._effort)
+
+    def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:
+        if not self.resamples:
+            super()._tell(fitness, measures)
+            return
+        search, most, asked = self._search, self.settings.evaluations, self._rows()
+        judged = uncertainty.judge(fitness, search.population_size, self._effort)
+        used, self._effort = (
+            self._effort,
+            uncertainty.adapted(self._effort, judged.noise, most),
+        )
+        super()._tell(judged.fitness[asked], measures)
+        if judged.noise > 0.0 and used == most and search is self._search:
+            search._sigma *= 1.0 + 2.0 / (self.genes + 10)
+        self._statistics |= {"evaluated": float(int(used)), "noise": judged.noise}
 
     def _learn(
         self,
@@ -88,6 +118,8 @@ class CMAES(Adapter):
         measures: np.ndarray,  # noqa: ARG002  unused
     ) -> None:
         search = self._search
+        count = search.population_size
+        solutions, fitness = solutions[:count], fitness[:count]  # each once
         # It minimizes.
         search.tell(list(zip(solutions, (-fitness).tolist(), strict=True)))
         stops = search.should_stop()
@@ -126,4 +158,6 @@ class CMAES(Adapter):
 
     def _start(self, population: int, sigma: float, mean: np.ndarray) -> Any:
         seed = derive_seed(self.seed, "cmaes", self._restarts) >> 32
+        if not self.resamples:
+            self.survivors = population // 2  # those that the mean moves to
         return self._make(mean=mean, sigma=sigma, seed=seed, population_size=population)

@@ -11,7 +11,9 @@ from FREVO: docs/optimizers.md. As there:
 - crossovers equal to an existing individual are repeated 100 times in all; the rest is random.
 """
 
-from collections.abc import Iterable
+import itertools
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from typing import Annotated, ClassVar
 
 import numpy as np
@@ -37,6 +39,8 @@ from zswarm.ot.optimizers.breeding import (
 
 REPEATS = 100  # of rejected crossovers, in a generation of one island
 SUITORS = 11  # fathers to choose from
+PARENTS = 2 + SUITORS  # random words by which the parents of a child are chosen
+AGAIN = 16  # children prepared at once after rejections
 OPERATORS = ("elite", "random", "mutation", "crossover", "renew")
 
 
@@ -85,6 +89,8 @@ class NNGA(BaseOptimizer):
             )
         self.counts = {"elite": elite, **counts}
         self.candidates = size * settings.islands
+        if settings.islands == 1:  # several are ranked one by one
+            self.survivors = elite + counts["random"]
         # The last generation told, each ranked, best first.
         self._islands: list[list[Individual]] = []
         self._population: list[list[Individual]] = []  # generation asked for
@@ -117,14 +123,14 @@ class NNGA(BaseOptimizer):
         elite: list[str] = []
         self._islands = self._population
         for island in self._islands:
-            island.sort(key=lambda individual: individual.rank)  # ties stay in order
+            _rank(island)
             elite += [
                 individual.operator for individual in island[: self.counts["elite"]]
             ]
-        counts = {name: created.count(name) for name in OPERATORS}
-        numbers = {f"count_{name}": float(count) for name, count in counts.items()}
-        for name, count in counts.items():
-            numbers[f"effectivity_{name}"] = elite.count(name) / max(1, count)
+        counts, best = Counter(created), Counter(elite)
+        numbers = {f"count_{name}": float(counts[name]) for name in OPERATORS}
+        for name in OPERATORS:
+            numbers[f"effectivity_{name}"] = best[name] / max(1, counts[name])
         self._count(fitness, **numbers)
 
     def _evolve(
@@ -159,18 +165,13 @@ class NNGA(BaseOptimizer):
         existing: set[bytes],
         stream: Stream,
     ) -> list[bytes]:
-        """Return children of random mothers with the most different of eleven random fathers."""
+        """Return children that do not exist yet; too many that do end it."""
         children: list[bytes] = []
         repeats = REPEATS
-        while len(children) < self.counts["crossover"]:
-            mother, island = stream.integer(len(mothers)), stream.integer(len(islands))
-            fathers = islands[island]
-            suitors = [fathers[stream.integer(len(fathers))] for _ in range(SUITORS)]
-            # Only of these: among all survivors there are too many in a large population.
-            (distances,) = self.representation.distances([mothers[mother]], suitors)
-            # The first of equals.
-            father = suitors[int(distances.argmax())]
-            child = self.representation.crossover(mothers[mother], father, stream)
+        wanted = self.counts["crossover"]
+        proposed = self._children(mothers, islands, stream)
+        while len(children) < wanted:
+            child = next(proposed)
             if child not in existing:
                 existing.add(child)
                 children.append(child)
@@ -179,6 +180,42 @@ class NNGA(BaseOptimizer):
             else:
                 break
         return children
+
+    def _children(
+        self, mothers: list[bytes], islands: list[list[bytes]], stream: Stream
+    ) -> Iterator[bytes]:
+        """Yield children of random mothers with the most different of eleven random fathers.
+
+        The words of the stream are those of one child after the other: mother, island, fathers, and
+        what the crossover draws. Parents are chosen for many children at once, as long as each
+        crossover draws the expected words.
+        """
+        pool = [*mothers, *itertools.chain.from_iterable(islands)]
+        draws, count = self.representation.crossover_draws, self.counts["crossover"]
+        words = PARENTS + (draws or 0)
+        while True:
+            begin = stream.position
+            ahead = Stream(stream.seed, begin).words(count * words).reshape(-1, words)
+            bounds = np.full(
+                PARENTS, len(mothers), np.uint64
+            )  # islands have equally many
+            bounds[1] = len(islands)
+            drawn = _integers(ahead[: None if draws else 1, :PARENTS], bounds)
+            suitors = drawn[:, 2:] + (1 + drawn[:, 1:2]) * len(mothers)
+            # Only of these: among all survivors there are too many in a large population.
+            distances = self.representation.distances_between(pool, drawn[:, 0], suitors)
+            # The first of equals.
+            farthest = distances.argmax(axis=1)[:, None]
+            fathers = np.take_along_axis(suitors, farthest, axis=1)[:, 0]
+            for mother, father in zip(
+                drawn[:, 0].tolist(), fathers.tolist(), strict=True
+            ):
+                stream.position = begin + PARENTS
+                begin += words
+                yield self.representation.crossover(pool[mother], pool[father], stream)
+                if stream.position != begin:
+                    break
+            count = AGAIN
 
     def statistics(self) -> dict[str, float]:
         """Return best and mean fitness, evaluations, diversity, and operators' results.
@@ -211,6 +248,20 @@ def _joined(islands: Iterable[list[Individual]]) -> list[Individual]:
 
 def _made(operator: str, made: Iterable[bytes]) -> list[Individual]:
     return [Individual(genome, operator) for genome in made]
+
+
+def _integers(words: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    """Return integers below the bounds of the columns, as ``Stream.integers`` makes them."""
+    shift = np.uint64(32)
+    below: np.ndarray = ((words >> shift) * bounds) >> shift
+    return below.astype(np.int64)
+
+
+def _rank(individuals: list[Individual]) -> None:
+    """Sort, the best first, NaN last; ties stay in order."""
+    fitness = np.array([individual.fitness for individual in individuals])
+    order = np.argsort(-fitness, kind="stable")
+    individuals[:] = [individuals[index] for index in order.tolist()]
 
 
 def _triangular_offset(rest: int, stream: Stream) -> int:

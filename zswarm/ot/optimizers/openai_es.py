@@ -14,9 +14,11 @@ from zswarm.config.meta import PartSettings, about, within
 from zswarm.kernels.random import Stream, derive_seed
 from zswarm.kernels.sums import mean, total
 from zswarm.nets.representation import Representation
+from zswarm.ot.optimizers import uncertainty
 from zswarm.ot.optimizers.base import BaseOptimizer, setting_error
 from zswarm.ot.optimizers.breeding import Population
 from zswarm.ot.optimizers.space import Positive, Space
+from zswarm.ot.optimizers.uncertainty import Evaluations
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8  # as recommended for Adam
 
@@ -34,6 +36,7 @@ class OpenAIESSettings(PartSettings, frozen=True):
     weight_decay: Annotated[
         float, within(0, 1e6, "pull to zero, per range and generation")
     ] = 0.005
+    evaluations: Evaluations = 1
 
 
 class OpenAIES(BaseOptimizer):
@@ -44,12 +47,13 @@ class OpenAIES(BaseOptimizer):
 
     Statistics: best, mean, evaluations; ``centre``, the fitness of the mean genome; ``gradient``,
     the length of the estimated gradient; ``size``, the mean distance of the mean genome's numbers
-    from zero, in ranges of new genomes.
+    from zero, in ranges of new genomes; with ``evaluations`` above 1 ``evaluated``, how often each
+    candidate was, and ``noise`` of their ranks.
     """
 
     settings_type = OpenAIESSettings
     competes = True
-    stored = ("centre", "momentum", "squares", "decays")
+    stored = ("centre", "momentum", "squares", "decays", "effort")
     settings: OpenAIESSettings
 
     def __init__(
@@ -62,6 +66,11 @@ class OpenAIES(BaseOptimizer):
             )
             raise setting_error("population", text)
         self.candidates = settings.population + 1
+        self.resamples = settings.evaluations > 1
+        self._effort = 1.0  # see uncertainty
+        if self.resamples:
+            self.candidates += uncertainty.again(self.candidates)
+            self.candidates *= settings.evaluations
         self._space = Space(representation)
         self._centre = self._space.uniform(
             -1.0, 1.0, 1, Stream(derive_seed(seed, "openai-es"))
@@ -73,20 +82,35 @@ class OpenAIES(BaseOptimizer):
         """Return the mean, a step along each direction, and a step back along each."""
         steps = self.settings.deviation * self._directions()
         points = [self._centre, self._centre + steps, self._centre - steps]
-        return self._space.genomes(np.vstack(points))
+        genomes = self._space.genomes(np.vstack(points))
+        return [genomes[row] for row in self._rows()] if self.resamples else genomes
+
+    def _rows(self) -> np.ndarray:
+        return uncertainty.rows(self.settings.population + 1, self._effort)
 
     def _tell(self, fitness: np.ndarray, measures: np.ndarray) -> None:  # noqa: ARG002  unused
         settings, pairs = self.settings, self.settings.population // 2
+        more: dict[str, float] = {}
+        counted = fitness
+        if self.resamples:
+            rows = self._rows()
+            fitness, noise = uncertainty.judge(
+                fitness, settings.population + 1, self._effort
+            )
+            counted = fitness[rows]
+            more = {"evaluated": float(int(self._effort)), "noise": noise}
+            self._effort = uncertainty.adapted(self._effort, noise, settings.evaluations)
         shaped = _centred_ranks(fitness[1:])
         weights = shaped[:pairs] - shaped[pairs:]
         scale = settings.population * settings.deviation
         # Algorithm 1, line 7.
         gradient = total(weights[:, None] * self._directions()) / scale
         self._count(
-            fitness,
+            counted,
             centre=float(fitness[0]),
             gradient=float(np.sqrt(total(gradient * gradient))),
             size=mean(np.abs(self._centre)),
+            **more,
         )
         self._step(gradient - settings.weight_decay * self._centre)
 

@@ -36,6 +36,11 @@ class Optimizer(ABC):
         measures: names of the simulator's metrics that a tell takes in addition to fitness.
         generation: number of generations told.
         candidates: most genomes of one ask, or None if that is unknown.
+        survivors: how many of the genomes last asked for may survive, or count by more than being
+            worse than these, if it uses the order of fitness only; None: it needs all numbers. Then
+            racing may stop trials of the others, whose fitness becomes an estimate.
+        resamples: whether a genome that is asked for several times in one generation plays further
+            seeds each time, instead of the same ones.
         diverged: the first generation in which ``restore`` would have asked other genomes than
             were told, or None.
     """
@@ -48,6 +53,8 @@ class Optimizer(ABC):
     fresh: bool = False
     measures: Sequence[str] = ()
     candidates: int | None = None
+    survivors: int | None = None
+    resamples: bool = False
     diverged: int | None = None
 
     def __init__(

@@ -38,6 +38,7 @@ class RandomSearch(BaseOptimizer):
     ) -> None:
         super().__init__(settings, representation, seed)
         self.candidates = settings.population
+        self.survivors = 1
 
     def _ask(self) -> list[bytes]:
         stream, (best, _) = self._stream("random"), self._best

@@ -1,4 +1,4 @@
-"""The SQLite file of a record: written in whole transactions, also through a disk outage."""
+"""The SQLite file of a record: how it is opened, written in transactions, and what may fail."""
 
 import contextlib
 import errno
@@ -6,16 +6,12 @@ import os
 import shutil
 import sqlite3
 import tempfile
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from zswarm.errors import ConfigError
 from zswarm.ot.record.schema import TABLES
 
-COMMIT_S = 0.1
-RETRY_S = 1.0  # during a disk outage
 WAL = b"\x02\x02"  # bytes 18 and 19 of a database with a write-ahead log
 TRIGGERS = "SELECT 1 FROM sqlite_master WHERE type = 'trigger'"
 SIDE_FILES = ("-wal", "-shm", "-journal")  # that SQLite keeps next to a database
@@ -50,123 +46,7 @@ SYSTEM_WORDS = {"full": os.strerror(errno.ENOSPC), "read-only": os.strerror(errn
 # UnicodeDecodeError: SQLite quotes a damaged schema in its message.
 UNREADABLE = (sqlite3.Error, OSError, UnicodeDecodeError)
 
-T = TypeVar("T")
 Statement = tuple[str, tuple[Any, ...]]
-
-
-class Database:
-    """A SQLite file, open for writing.
-
-    Statements wait in a list until they are committed together. Each must allow to be executed
-    twice: a commit that failed may have reached the disk.
-
-    Args:
-        report: called with a line for the user when an outage begins (and None), and when it ends
-            (and its seconds).
-
-    Attributes:
-        path: of the file.
-        unwritten: what is not committed yet.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        connection: sqlite3.Connection,
-        report: Callable[[str, float | None], None],
-    ) -> None:
-        self.unwritten: list[Statement] = []
-        self.path, self._folder = path, path.parent
-        self._connection, self._report = connection, report
-        self._next_commit = 0.0
-        self._outage_since: float | None = None
-
-    def write(self, *statements: Statement) -> None:
-        """Commit statements together, at the next ``flush`` that is due."""
-        self.unwritten += statements
-        self.flush()
-
-    def flush(self) -> None:
-        """Commit if the last commit was 0.1 s ago; during an outage statements wait."""
-        if time.monotonic() >= self._next_commit:
-            with self._outages():
-                self.commit()
-
-    def write_now(self, *statements: Statement) -> None:
-        """Commit everything and wait until it is on the disk."""
-        self.unwritten += statements  # in one step: Ctrl-C loses all of them or none
-        if self.unwritten:
-            self.retry(self.commit)
-
-    def rows(self, sql: str, *parameters: Any) -> list[Any]:
-        """Commit everything, then query."""
-        self.write_now()
-        return self.retry(lambda: self._connection.execute(sql, parameters).fetchall())
-
-    def retry(self, action: Callable[[], T]) -> T:
-        """Call until the disk lets the action succeed."""
-        while True:
-            with self._outages():
-                return action()
-            time.sleep(RETRY_S)
-
-    def commit(self) -> None:
-        """Commit everything in one transaction, now.
-
-        Raises:
-            ConfigError: the file is gone, or a value is too large for SQLite.
-            sqlite3.OperationalError, OSError: the disk refuses it; see ``outage``.
-        """
-        pause = COMMIT_S if self._outage_since is None else RETRY_S
-        self._next_commit = time.monotonic() + pause
-        if not self.unwritten:
-            return
-        if not self.path.exists():  # SQLite would write to the unlinked file
-            raise ConfigError(
-                f"{self._folder}: moved, removed or unmounted while the run went on"
-            )
-        try:
-            transact(self._connection, self.unwritten)
-        except (sqlite3.DataError, OverflowError) as error:
-            raise ConfigError(
-                f"{self._folder}: cannot be recorded: {error}; SQLite takes at most "
-                "1,000,000,000 bytes in a value"
-            ) from None
-        self.unwritten = []
-
-    def write_once(self) -> None:
-        """Do without a write-ahead log, in which all that is large would be written first.
-
-        Other programs cannot read while a commit is written then. If one reads now, the log stays.
-        """
-        with contextlib.suppress(sqlite3.OperationalError):
-            self._connection.execute("PRAGMA journal_mode = DELETE")
-
-    def close(self) -> None:
-        """Close the file without a commit."""
-        self._connection.close()
-
-    @contextlib.contextmanager
-    def _outages(self) -> Iterator[None]:
-        """Report the first failure of an outage, and the first success after it."""
-        try:
-            yield
-        except (sqlite3.OperationalError, OSError) as error:
-            why = outage(error, self._folder)
-            if not why:
-                raise
-            if self._outage_since is None:
-                self._outage_since = time.monotonic()
-                self._report(
-                    f"the disk of {self._folder} {OUTAGES[why]}; nothing is lost", None
-                )
-        else:
-            if self._outage_since is not None:
-                waited, self._outage_since = time.monotonic() - self._outage_since, None
-                self._report(
-                    f"the disk of {self._folder} takes data again: the run continues",
-                    waited,
-                )
 
 
 def connect(path: Path) -> sqlite3.Connection:
@@ -175,7 +55,10 @@ def connect(path: Path) -> sqlite3.Connection:
     Raises:
         sqlite3.DatabaseError: it is damaged, or cannot be written now; see ``outage``.
     """
-    connection = sqlite3.connect(path, isolation_level=None, timeout=10.0)
+    # The thread that opens it hands it to the one that commits.
+    connection = sqlite3.connect(
+        path, isolation_level=None, timeout=10.0, check_same_thread=False
+    )
     try:
         # WAL needs memory that is shared by all programs that open the file.
         connection.execute(

@@ -38,6 +38,7 @@ NOT_DECISIVE = (
     "study",
     "label",
 )
+RACING = "assessment.racing"  # may not
 
 
 def new_meta(
@@ -107,7 +108,7 @@ def check(
     keys = [key for key in sorted(before | after) if before.get(key) != after.get(key)]
     raise ConfigError(
         f"{folder / EXPERIMENT}: {', '.join(keys)} changed since the run began; "
-        "only generations, label, [assessment], [cluster], [record] and [stop] may"
+        "only generations, label, [assessment] but racing, [cluster], [record] and [stop] may"
     )
 
 
@@ -143,6 +144,8 @@ def decisive(complete: Experiment) -> str:
     if complete.ranking.kind == ABSOLUTE:  # the default is not recorded
         del values["ranking"]
     kept = {key: value for key, value in values.items() if key not in NOT_DECISIVE}
+    if complete.assessment.racing:
+        kept[RACING] = True
     return json.dumps(kept, sort_keys=True)
 
 

@@ -15,14 +15,14 @@ import msgspec
 
 from zswarm import experiment
 from zswarm.config.sections import ABSOLUTE
-from zswarm.controller import CHAMPION, Controller, HeldOut, load_controller
+from zswarm.controller import CHAMPION, Controller, HeldOut, Tracked, load_controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
-from zswarm.ot.record import verify
+from zswarm.ot.record import frames, verify
 from zswarm.ot.record.database import UNREADABLE, describe, read_only
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT, check_run, is_running
+from zswarm.ot.record.opening import RACING
 from zswarm.ot.record.trials import numbers, trials_of
-from zswarm.system.extras import need
 from zswarm.system.text import clean, clean_all, html_table
 
 if TYPE_CHECKING:
@@ -78,17 +78,18 @@ class Run:
             ConfigError: the file or the record is damaged.
         """
         file, began = experiment.load(self.folder / EXPERIMENT), self._began
-        parts = {name: began[name] for name in experiment.PARTS}
+        racing = began.pop(RACING)
+        parts = {
+            name: {**began[name]["settings"], "kind": began[name]["kind"]}
+            for name in experiment.PARTS
+        }
         mapping = {
             **began,
-            **{
-                name: {**part["settings"], "kind": part["kind"]}
-                for name, part in parts.items()
-            },
+            **parts,
             "generations": file.generations,
             "stop": experiment.to_mapping(file).get("stop", {}),
             "label": clean(file.label),
-            "assessment": msgspec.to_builtins(file.assessment),
+            "assessment": msgspec.to_builtins(file.assessment) | {"racing": racing},
             "cluster": clean_all(msgspec.to_builtins(file.cluster)),
         }
         return experiment.check(mapping, f"{self.shown}/{DATABASE}")
@@ -105,6 +106,7 @@ class Run:
             now = clean_all(msgspec.to_builtins(file))
         except RecursionError as error:
             raise ConfigError(f"{self.shown}/{EXPERIMENT}: {error}") from None
+        now[RACING] = file.assessment.racing
         return sorted(key for key, value in self._began.items() if now.get(key) != value)
 
     @property
@@ -132,6 +134,14 @@ class Run:
             return None if found is None else msgspec.json.decode(found, type=HeldOut)
         except (msgspec.DecodeError, TypeError):
             raise self._damaged("its assessment is not valid JSON") from None
+
+    @property
+    def track(self) -> list[Tracked]:
+        """The best of each k-th generation on held-out seeds, if they were tracked."""
+        try:
+            return msgspec.json.decode(self.meta.get("track", "[]"), type=list[Tracked])
+        except (msgspec.DecodeError, TypeError):
+            raise self._damaged("its track is not valid JSON") from None
 
     @property
     def relative(self) -> bool:
@@ -261,28 +271,15 @@ class Run:
         Raises:
             ConfigError: pandas is missing.
         """
-        frame: pandas.DataFrame = need("pandas", "data", "to_pandas").DataFrame(
-            self.table()
-        )
-        return frame
+        return frames.to_pandas(self.table())
 
     def to_polars(self) -> "polars.DataFrame":
         """Return the same as ``to_pandas``; raise ConfigError if polars is missing."""
-        library = need("polars", "data", "to_polars")
-        frame: polars.DataFrame = library.DataFrame(
-            self.table(), infer_schema_length=None
-        )
-        return frame
+        return frames.to_polars(self.table())
 
     def table(self) -> list[Row]:
         """Return the history with a key for each of the optimizer's statistics."""
-        history = self.history()
-        statistics = [row.pop("statistics") for row in history]
-        names = dict.fromkeys(name for values in statistics for name in values)
-        return [
-            row | {name: values.get(name) for name in names if name not in row}
-            for row, values in zip(history, statistics, strict=True)
-        ]
+        return frames.flat(self.history())
 
     def _repr_html_(self) -> str:
         best, held_out = self.best(), self.held_out and self.held_out.mean
@@ -352,9 +349,9 @@ class Run:
     def _began(self) -> Row:
         """The parts of the experiment that the history depends on, as the run began."""
         try:
-            absolute = {"kind": ABSOLUTE, "settings": {}}
             began = {
-                "ranking": absolute,
+                "ranking": {"kind": ABSOLUTE, "settings": {}},
+                RACING: False,
                 **clean_all(json.loads(self._meta["experiment"])),
             }
             for part in experiment.PARTS:

@@ -12,8 +12,8 @@ from zswarm.ot.cluster.machines import Known
 from zswarm.ot.notes import RunEvent
 from zswarm.ot.optimizers.optimizer import Told
 from zswarm.ot.record import statements
+from zswarm.ot.record.commits import Commits
 from zswarm.ot.record.contenders import Contender, Contenders
-from zswarm.ot.record.database import Database
 from zswarm.ot.record.history_hash import START, History
 from zswarm.ot.record.packing import Place, unpack
 from zswarm.ot.record.stopping import Spent
@@ -33,7 +33,7 @@ class Resumed(NamedTuple):
 class Recorded:
     """Everything in a record that was finished, for the program that writes it."""
 
-    _database: Database
+    _database: Commits
     _generation: int | None
     _round: int
     _asked: bytes
@@ -84,9 +84,13 @@ class Recorded:
             self._generation,
             self._round,
         ):
-            indices = np.frombuffer(trials, "<u4").astype(np.int64) - workload.first
-            played = statements.games(workload, indices)
-            if asked != self._asked or participants != played:
+            numbers = np.frombuffer(trials, "<u4").astype(np.int64)
+            indices = np.searchsorted(workload.numbers, numbers)
+            if (
+                asked != self._asked
+                or not np.isin(numbers, workload.numbers).all()
+                or participants != statements.games(workload, indices)
+            ):
                 number = 1 + (self._generation or 0)
                 raise ConfigError(
                     f"{self._database.path.parent}: generation {number} was begun with other "
@@ -173,6 +177,22 @@ class Recorded:
     def evaluations(self) -> int:
         """Return the number of candidates of the finished generations."""
         return self._sum("sum(evaluations) FROM generations")
+
+    def best_of(self, generation: int) -> tuple[int, bytes, float] | None:
+        """Return generation, genome and fitness of its best; None if all failed."""
+        rows = self._database.rows(
+            "SELECT candidate, fitness FROM candidates WHERE generation = ? AND fitness NOTNULL "
+            "ORDER BY fitness DESC, candidate LIMIT 1",
+            generation,
+        )
+        for candidate, fitness in rows:
+            return generation, self._genome((generation, candidate)), fitness
+        return None
+
+    def trials(self) -> int:
+        """Return the number of trials of the finished generations."""
+        finished = "(SELECT count(*) FROM generations)"
+        return self._sum(f"sum(count) FROM outcomes WHERE generation < {finished}")
 
     def counts(self) -> dict[str, Any]:
         """Return the numbers of trials ``requeued``, ``faulted`` and ``doubtful``, for a result."""

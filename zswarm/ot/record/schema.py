@@ -19,6 +19,7 @@ OF_THE_END = (
     "assessing",
     "assessment",
     "assessment_hash",
+    "track",
 )  # keys of meta that come with it
 TABLES = ("meta", "generations", "candidates", "outcomes", "events", "optimizer")
 _TABLES = """

@@ -54,7 +54,7 @@ def outcomes(
         generation,
         asked,
         len(trials),
-        (workload.first + trials).astype("<u4").tobytes(),
+        workload.numbers[trials].astype("<u4").tobytes(),
         workload.fitness[trials].astype("<f8").tobytes(),
         workload.metrics[trials].astype("<f8").tobytes(),
         int(workload.faulted[trials].sum()),

@@ -1,7 +1,8 @@
 """Write a run's folder: its experiment, its record in SQLite, and its champion.
 
-Outcomes are committed at least every 0.1 s. A generation is committed together with the optimizer's
-state before it is reported, so what is reported is on the disk. docs/record.md has the tables.
+A thread commits (``commits``), so that a run does not wait for the disk: what is recorded is the
+beginning of what happened, at most 0.05 s behind when a generation is reported. A generation is
+committed together with the optimizer's state after it. docs/record.md has the tables.
 """
 
 import contextlib
@@ -26,14 +27,8 @@ from zswarm.experiment import Experiment
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.record import contenders, opening, statements, verify
-from zswarm.ot.record.database import (
-    Database,
-    Statement,
-    connect,
-    describe,
-    on_network,
-    outage,
-)
+from zswarm.ot.record.commits import Commits
+from zswarm.ot.record.database import Statement, connect, describe, on_network, outage
 from zswarm.ot.record.digests import seal, total
 from zswarm.ot.record.folder import (
     DATABASE,
@@ -73,7 +68,7 @@ class Record(Recorded):
         self.folder = folder
         self.say: Callable[[str], None] = _to_stderr
         self.on_network = on_network(folder)
-        self._database = Database(folder / DATABASE, connection, self._report)
+        self._database = Commits(folder / DATABASE, connection, self._report)
         self._lock = lock
         self._outcomes = itertools.count(_first_free(connection, "outcomes"))
         self._events = itertools.count(_first_free(connection, "events"))
@@ -163,20 +158,23 @@ class Record(Recorded):
         if self._lock < 0:
             return
         try:
-            self._database.commit()
-        except (sqlite3.OperationalError, OSError) as error:
-            if not outage(error, self.folder):
-                raise
-            waiting = [
-                values for sql, values in self._database.unwritten if sql == ADD_OUTCOMES
-            ]
-            lost = sum(values[3] for values in waiting)  # the column count
-            why = f"cannot be written ({describe(error, self.folder)})"
-            self.say(f"{self.folder} {why}: resume evaluates {lost} trials again")
+            waiting, error = self._database.close()
+            if isinstance(error, sqlite3.OperationalError | OSError) and outage(
+                error, self.folder
+            ):
+                lost = sum(values[3] for sql, values in waiting if sql == ADD_OUTCOMES)
+                why = f"cannot be written ({describe(error, self.folder)})"
+                self.say(f"{self.folder} {why}: resume evaluates {lost} trials again")
+            elif error is not None:
+                raise error
         finally:
-            self._database.close()
             os.close(self._lock)
             self._lock = -1
+
+    def sync(self) -> None:
+        """Wait until everything is on the disk, from any thread; after ``close`` do nothing."""
+        if self._lock >= 0:
+            self._database.sync()
 
     # ---- meta
 
@@ -190,9 +188,9 @@ class Record(Recorded):
         return bool(now > self.meta("epoch"))
 
     def set_meta(self, key: str, value: Any) -> None:
-        """Set a value and wait until it is on the disk."""
+        """Set a value."""
         self._meta[key] = value
-        self._database.write_now((SET_META, (key, value)), (SET_META, seal(self._meta)))
+        self._database.write((SET_META, (key, value)), (SET_META, seal(self._meta)))
 
     def machine_changed(self) -> str:
         """Return the machine that the run began on if it differs from this one, else ""."""
@@ -277,7 +275,9 @@ class Record(Recorded):
         state: Any,
         measures: np.ndarray | None = None,
     ) -> None:
-        """Commit a generation with the optimizer's state after it, and wait for the disk.
+        """Add a generation with the optimizer's state after it.
+
+        Waits if the disk is more than 0.05 s behind, or the genomes are large.
 
         Args:
             fitness, measures: as the optimizer was told.
@@ -289,9 +289,10 @@ class Record(Recorded):
         packed = state
         if state is not None and not isinstance(state, PackedState):
             packed = self.pack(generation, genomes, state)
-        if sum(map(len, genomes)) > LARGE:
+        large = sum(map(len, genomes)) > LARGE
+        if large:
             self._database.write_once()
-        self._database.write_now(
+        self._database.write(
             *self._candidates(generation, genomes, digests, fitness, measures, packed),
             statements.generation_end(
                 generation,
@@ -303,6 +304,10 @@ class Record(Recorded):
             ),
             *([] if packed is None else statements.state(generation, packed)),
         )
+        if large:  # they are not to be in memory until the next generation ends
+            self._database.sync()
+        else:
+            self._database.pace()
         self._known = {} if packed is None else dict(packed.genomes)
         self._history = history.value
 
@@ -362,14 +367,14 @@ class Record(Recorded):
             self._digests = (genomes, [digest(genome) for genome in genomes])
         return self._digests[1]
 
-    def flush(self) -> None:
-        """Commit if the last commit was 0.1 s ago; during a disk outage data wait."""
-        self._database.flush()
+    def check(self) -> None:
+        """Report what happened to the disk; called when nothing else happens."""
+        self._database.check()
 
     def champion(self, controller: Controller) -> None:
-        """Replace the champion's file in one step."""
+        """Replace the champion's file in one step, after what was recorded before."""
         content = msgspec.msgpack.encode(controller)
-        self._database.retry(lambda: write_whole(self.folder / CHAMPION, content))
+        self._database.write_file(self.folder / CHAMPION, content)
 
     def _report(self, line: str, waited_s: float | None) -> None:
         """Report the begin of a disk outage, or its end and how long it took."""

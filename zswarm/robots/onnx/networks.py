@@ -53,14 +53,14 @@ def memory(network: Representation) -> Memory:
             return Memory(network.neurons * (1 + network.sources) + 1)
         case Mealy():
             return Memory(1)
-        case Neat():
+        case Neat() if not network.settings.synchronous:
             return Memory(network.settings.max_hidden + network.outputs, np.float64)
         case Bulk():
             part = memory(network.part)
             return Memory(network.settings.parts * part.length, part.dtype)
     raise ConfigError(
-        f"--to onnx: knows the bundled networks, not {type(network).__name__}; "
-        "python and c99 may know it"
+        "--to onnx: knows the bundled networks except chocolate, and neat unless it is "
+        f"synchronous, not this {type(network).__name__}; python and c99 may know it"
     )
 
 
@@ -130,8 +130,10 @@ def _layered(
 ) -> Decided:
     values, (hidden, last) = observation, network.activations
     activations = [hidden] * (len(network.widths) - 1) + [last]
+    steepness = np.float32(getattr(network.settings, "steepness", 1))
     for (table,), activation in zip(network.tables([genome]), activations, strict=True):
-        values = _activated(activation, table[:, :-1] @ values + table[:, -1])
+        rows = table * steepness
+        values = _activated(activation, rows[:, :-1] @ values + rows[:, -1])
     return Decided(values, before)
 
 

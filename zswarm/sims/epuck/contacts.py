@@ -13,6 +13,8 @@ from zswarm.sims.epuck.world import (
     ALONG,
     CENTRE_X,
     CENTRE_Y,
+    CHANGE,
+    CHANGES,
     HALF_LENGTH,
     HALF_WIDTH,
     MASS,
@@ -157,9 +159,7 @@ def solve(world, contacts):
             robots[SPEED_Y, robot] += robots[PUSH_Y, robot] * PER_MASS
             robots[SPIN, robot] += robots[PUSH_SPIN, robot] * PER_INERTIA
     connect(world, contacts)
-    for first in range(world.number):
-        if robots[TOUCHES, first] > 0.0 and world.groups[first] == first:
-            settle(world, contacts, first)
+    settle(world, contacts)
     robots[TOUCHES] = 0.0
 
 
@@ -182,27 +182,40 @@ def connect(world, contacts):
 
 
 @inline(counts=False, inner=True)
-def settle(world, contacts, group):
-    """Find the velocities of a group of robots that touch each other."""
+def settle(world, contacts):
+    """Find the velocities of all groups of robots that touch each other.
+
+    An iteration goes through all groups: they do not depend on each other, so a processor computes
+    several at once. A group whose impulses hardly changed in an iteration is left out of the next.
+    """
     robots = world.robots
-    members = 0
-    for robot in range(group, world.number):
-        if world.groups[robot] == group:
-            world.groups[world.number + members] = robot
-            members += 1
-    listed = members
-    for index in range(contacts):
-        if world.groups[int(world.contacts[index, FIRST])] == group:
-            world.groups[world.number + listed] = index
-            listed += 1
+    groups = world.groups
+    touching = 0
+    for robot in range(world.number):
+        robots[CHANGE, robot] = 1.0
+        robots[CHANGES, robot] = 0.0
+        if robots[TOUCHES, robot] > 0.0:
+            groups[world.number + touching] = robot
+            touching += 1
     for _ in range(ITERATIONS):
-        change = 0.0
-        for at in range(members, listed):
-            contact = world.contacts[world.groups[world.number + at]]
-            change = max(change, separate(world, contact))
-        for at in range(members):
-            change = max(change, pull(robots, world.groups[world.number + at]))
-        if change < SETTLED:  # further iterations change nothing that matters
+        for index in range(contacts):
+            contact = world.contacts[index]
+            group = groups[int(contact[FIRST])]
+            if robots[CHANGE, group] >= SETTLED:
+                change = separate(world, contact)
+                robots[CHANGES, group] = max(robots[CHANGES, group], change)
+        unsettled = False
+        for at in range(world.number, world.number + touching):
+            group = groups[groups[at]]
+            if robots[CHANGE, group] >= SETTLED:
+                change = pull(robots, groups[at])
+                robots[CHANGES, group] = max(robots[CHANGES, group], change)
+        for at in range(world.number, world.number + touching):
+            robot = groups[at]
+            robots[CHANGE, robot] = robots[CHANGES, robot]
+            robots[CHANGES, robot] = 0.0
+            unsettled = unsettled or robots[CHANGE, robot] >= SETTLED
+        if not unsettled:
             break
 
 

@@ -13,49 +13,66 @@ import numpy as np
 from zswarm.kernels.jit import inline, sqrt
 from zswarm.kernels.portable import PI, cos, sin
 from zswarm.kernels.random import draw_uniform
+from zswarm.sims.epuck.arenas import (
+    DODECAGON,
+    HEXAGON,
+    IN_AREA,
+    IN_RADIUS,
+    THIRD,
+    Arena,
+    Box,
+    Place,
+    disc,
+    rectangle,
+)
 from zswarm.sims.epuck.world import (
     BLACK,
     CARRIES,
-    DISC,
-    RECTANGLE,
+    PLACE_X,
+    PLACE_Y,
+    SIZE_X,
     WHITE,
     X,
     Y,
 )
 
-Place = tuple[float, float, float, float, float, float]  # a row of ``EpuckWorld.floor``
-Box = tuple[
-    float, float, float, float
-]  # the centre and the half sizes of a wall, parallel to axes
-
-
-def disc(x: float, y: float, radius: float, grey: float) -> Place:
-    """Return a spot of the floor."""
-    return (DISC, x, y, radius, radius, grey)
-
-
-def rectangle(x: float, y: float, width: float, height: float, grey: float) -> Place:
-    """Return a rectangle of the floor by its centre and its half sizes."""
-    return (RECTANGLE, x, y, width, height, grey)
-
 
 class Mission(NamedTuple):
-    """A mission as published."""
+    """A mission as published.
+
+    Attributes:
+        lamp: its place and intensity.
+        hearing: range of messages, m.
+        floor: the first that contains a point gives its grey.
+        walls: inside of the arena.
+        start: the way in which robots start.
+        sector: from which angle to which one they start.
+        score: one of ``SCORES``; empty: its own.
+        spots: the first of ``floor`` which are homes or nests.
+        at_end: only the last step counts.
+    """
 
     seconds: float
-    lamp: tuple[float, float, float, float]  # place and intensity
-    hearing: float  # m
+    lamp: tuple[float, float, float, float]
+    hearing: float
     floor: tuple[Place, ...] = ()
-    walls: tuple[Box, ...] = ()  # inside of the arena
+    walls: tuple[Box, ...] = ()
+    robots: int = 20
+    arena: Arena = DODECAGON
+    start: int = IN_AREA
+    sector: tuple[float, float] = (0.0, 2.0 * PI)
+    score: str = ""
+    spots: int = 0
+    at_end: bool = False
 
 
 STUDY_LAMP, NO_LAMP = (0.0, -1.25, 0.75, 5.0), (0.0, -1.25, 0.75, 0.0)
 SOUTH_LAMP, NORTH_LAMP = (0.0, -1.5, 0.4, 3.0), (0.0, 1.5, 0.4, 2.0)
 SPOTS = disc(0.0, 0.6, 0.3, BLACK), disc(0.0, -0.6, 0.3, WHITE)
 SHELTER = (
-    (0.0, -0.1, 0.325, 0.025),
-    (-0.3125, -0.025, 0.025, 0.1),
-    (0.3125, -0.025, 0.025, 0.1),
+    (0.0, -0.1, 0.325, 0.025, 0.08, 0.0),
+    (-0.3125, -0.025, 0.025, 0.1, 0.08, 0.0),
+    (0.3125, -0.025, 0.025, 0.1, 0.08, 0.0),
 )
 MISSIONS = {
     "aggregation": Mission(120.0, STUDY_LAMP, 0.5, SPOTS),
@@ -100,9 +117,23 @@ MISSIONS = {
         ),
     ),
 }
-NAMES = (*MISSIONS, "cfa-corrected")
 MISSIONS["cfa-corrected"] = MISSIONS["cfa"]
+# A mission of the kind and in an arena that ``generated`` draws, too.
+MISSIONS["homing"] = Mission(
+    120.0,
+    (*HEXAGON.lamp, 5.0),
+    0.5,
+    (disc(0.0, HEXAGON.arena.around * THIRD, 0.3, WHITE),),
+    arena=HEXAGON.arena,
+    start=IN_RADIUS,
+    score="homing",
+    spots=1,
+)
+NAMES = (*MISSIONS, "generated")
+# Those of the missions, and those of spots anywhere.
+SCORES = (*list(MISSIONS)[:9], "homing", "one-spot", "deliveries")
 AGGREGATION, FORAGING, GRID_EXPLORATION, AAC, SCA, SPC, LCN, CFA, CFA_CORRECTED = range(9)
+HOMING, ONE_SPOT, DELIVERIES = range(9, 12)
 
 SIDE = 2.50001  # m, of the square that grid exploration divides
 CELLS = 10  # per side
@@ -134,6 +165,45 @@ def score(world):
             forage(world, robot)
     elif mission == GRID_EXPLORATION:
         explore(world)
+    elif mission >= HOMING:
+        count_spots(world)
+
+
+@inline(counts=False, inner=True)
+def count_spots(world):
+    """Count robots on spots: on all homes, on the home with most, or those that deliver."""
+    robots = world.robots
+    most = 0.0
+    total = 0.0
+    for spot in range(world.spots):
+        here = 0.0
+        for robot in range(world.number):
+            if world.mission == DELIVERIES:
+                if spot == 0 and on_spots(
+                    world, robot, world.spots, world.floor.shape[0]
+                ):
+                    robots[CARRIES, robot] = 1.0
+                if on_spots(world, robot, spot, spot + 1):
+                    here += robots[CARRIES, robot]
+                    robots[CARRIES, robot] = 0.0
+            elif on_spots(world, robot, spot, spot + 1):
+                here += 1.0
+        total += here
+        most = max(most, here)
+    if world.at_end > 0:
+        world.tally[TOTAL] = 0.0
+    world.tally[TOTAL] += most / world.number if world.mission == ONE_SPOT else total
+
+
+@inline(counts=False, inner=True)
+def on_spots(world, robot, first, end):
+    """Return whether a robot is on one of some discs of the floor."""
+    for spot in range(first, end):
+        dx = world.robots[X, robot] - world.floor[spot, PLACE_X]
+        dy = world.robots[Y, robot] - world.floor[spot, PLACE_Y]
+        if within(dx, dy, world.floor[spot, SIZE_X]):
+            return True
+    return False
 
 
 @inline(counts=False, inner=True)

@@ -1,5 +1,7 @@
 """Turn readings of an e-puck into what its controller sees: reference models 1.1 and 1.2.
 
+Machines of AutoMoDe have a model 1.2 of their own, with numbers that networks see only in part.
+
 Source: K. Hasselmann et al., "Reference models for AutoMoDe", TR/IRIDIA/2018-002. docs/epuck.md has
 the equations, and what the implementations do beyond them.
 """
@@ -48,6 +50,7 @@ SENSOR_NAMES = {
         *(f"attraction_{name}" for name in QUADRANTS),
     ),
 }
+SENSOR_NAMES[3] = (*SENSOR_NAMES[2], "chance")
 
 
 @inline(counts=False, inner=True, copied=False)
@@ -57,11 +60,20 @@ def interpret(world, observations):
         remember(world, robot)
         if world.model == 1:
             see_1_1(world, robot, observations, len_1_1 * robot)
+        elif world.model == 2:
+            at = len_1_2 * robot
+            see_vectors(world, robot, observations, at)
+            observations[at + 8] = ground(world, robot, 0)
+            observations[at + 9] = crowd(world.robots[HEARD, robot])
         else:
-            see_1_2(world, robot, observations, len_1_2 * robot)
+            at = len_machine * robot
+            see_vectors(world, robot, observations, at)
+            observations[at + 8] = vote(world, robot)
+            observations[at + 9] = world.robots[HEARD, robot]
+            observations[at + 14] = draw_uniform(world.stream)
 
 
-len_1_1, len_1_2 = len(SENSOR_NAMES[1]), len(SENSOR_NAMES[2])
+len_1_1, len_1_2, len_machine = (len(SENSOR_NAMES[model]) for model in (1, 2, 3))
 
 
 @inline(counts=False, inner=True)
@@ -86,8 +98,8 @@ def remember(world, robot):
 
 
 @inline(counts=False, inner=True)
-def see_1_2(world, robot, observations, at):
-    """Write 14 inputs: proximity, light, ground, neighbours, attraction."""
+def see_vectors(world, robot, observations, at):
+    """Write the vectors of model 1.2: proximity, light, and from 10 on attraction."""
     robots = world.robots
     x = 0.0
     y = 0.0
@@ -106,8 +118,6 @@ def see_1_2(world, robot, observations, at):
         y += reading * ANGLES_Y[sensor]
     length = sqrt(x * x + y * y)
     project(x, y, 1.0 / length if lit and length > 0.0 else 0.0, observations, at + 4)
-    observations[at + 8] = ground(world, robot, 0)
-    observations[at + 9] = crowd(robots[HEARD, robot])
     x, y = attraction(world, robot)
     project(x, y, 1.0, observations, at + 10)
 
@@ -136,8 +146,8 @@ def project(x, y, factor, observations, at):
 
 
 @inline(counts=False, inner=True)
-def ground(world, robot, table):
-    """Return 0 for black, 1 for white, and a recorded reading for grey."""
+def vote(world, robot):
+    """Return 0 for black, 1 for white, 1/2 for grey, by the readings of the last steps."""
     black = 0.0
     white = 0.0
     for slot in range(VOTES):
@@ -145,8 +155,15 @@ def ground(world, robot, table):
         white += world.memory[robot, FIRST_VOTE + 2 * slot + 1]
     if black > MAJORITY:
         return 0.0
-    if white > MAJORITY:
-        return 1.0
+    return 1.0 if white > MAJORITY else 0.5
+
+
+@inline(counts=False, inner=True)
+def ground(world, robot, table):
+    """Return 0 for black, 1 for white, and a recorded reading for grey."""
+    voted = vote(world, robot)
+    if voted != 0.5:
+        return voted
     at = draw_uniform(world.stream) * (world.greys.shape[1] - 1)
     low = int(at)
     below = world.greys[table, low]

@@ -5,11 +5,11 @@ from typing import Annotated, Literal
 import numpy as np
 
 from zswarm.config.meta import PartSettings, about, within
-from zswarm.kernels.portable import PI
-from zswarm.sims.epuck import missions, trial
+from zswarm.sims.epuck import generated, missions, trial
+from zswarm.sims.epuck.arenas import wall_rows
 from zswarm.sims.epuck.contacts import CONTACT_COLUMNS
 from zswarm.sims.epuck.grey_readings import GREYS
-from zswarm.sims.epuck.missions import MISSIONS, Mission
+from zswarm.sims.epuck.missions import MISSIONS
 from zswarm.sims.epuck.reference_models import SENSOR_NAMES
 from zswarm.sims.epuck.world import (
     ANGLE,
@@ -25,28 +25,17 @@ from zswarm.sims.epuck.world import (
     EpuckWorld,
     X,
     Y,
-    unit_vectors,
 )
 from zswarm.sims.simulator import Body, Frame, Line, Rectangle
 from zswarm.sims.trial import Teams, play_many, problem
 
-MODELS = {"1.1": 1, "1.2": 2}
+MODELS = {"1.1": 1, "1.2": 2, "1.2-machine": 3}
 # Noise of wheels, proximity, light and ground, and the probability that a message is lost.
 REALITIES = {
     "design": (0.05, 0.05, 0.05, 0.05, 0.85),
     "pseudo": (0.15, 0.05, 0.9, 0.05, 0.9),
     "exact": (0.0, 0.0, 0.0, 0.0, 0.0),
 }
-# The dodecagon: centres and angles in degrees of its walls, of .01 x .66 m.
-DODECAGON = [
-    (-1.231, 0.0, 0), (1.231, 0.0, 0), (0.0, 1.231, 90), (0.0, -1.231, 90),
-    (-0.615, -1.066, 60), (-1.066, -0.615, 30), (0.615, 1.066, 60), (1.066, 0.615, 30),
-    (-0.615, 1.066, -60), (-1.066, 0.615, -30), (0.615, -1.066, -60), (1.066, -0.615, -30),
-]  # fmt: skip
-HALF_THICKNESS, HALF_WALL, WALL_TOP = 0.005, 0.33, 0.08  # m
-FREE = 1.225  # m, the radius of a disc that fits in
-PLACING = 1.2  # m, the radius of the disc in which robots start
-HALF_SIDE = 1.25  # m, of pictures
 
 
 class EpuckSettings(PartSettings, frozen=True):
@@ -63,21 +52,27 @@ class EpuckSettings(PartSettings, frozen=True):
             "lcn",
             "cfa",
             "cfa-corrected",
+            "homing",
+            "generated",
         ],
         about("mission of the robots"),
     ] = "aggregation"
     reference_model: Annotated[
-        Literal["1.1", "1.2"], about("what controllers see: 24 inputs, or 14")
+        Literal["1.1", "1.2", "1.2-machine"],
+        about("what controllers see: 24 inputs, 14, or 15 for machines"),
     ] = "1.2"
     reality: Annotated[
         Literal["design", "pseudo", "exact"],
         about("noise: that of design, of the published pseudo-reality, or none"),
     ] = "design"
-    robots: Annotated[int, within(1, 100, "robots")] = 20
+    robots: Annotated[int, within(0, 100, "robots; 0: as many as the mission has")] = 0
     seconds: Annotated[
         float,
         within(0, 100_000, "s, duration of a trial; 0: that of the published mission"),
     ] = 0.0
+    mission_seed: Annotated[
+        int, within(0, 2**63 - 1, "seed from which a generated mission is drawn")
+    ] = 0
 
 
 class Epuck(Teams):
@@ -89,7 +84,8 @@ class Epuck(Teams):
     Observation: reference model 1.2: 0-3: proximity to the front left, back left, back right and
         front right; 4-7: light, likewise; 8: ground, 0 black, 1 white, in between grey; 9: 1 - 2 /
         (1 + e^n) for n messages heard; 10-13: attraction to neighbours, as 0-3. Model 1.1: 0-7:
-        proximity readings, 8-15: light readings, 16-18: ground, 19-23: as 9-13.
+        proximity readings, 8-15: light readings, 16-18: ground, 19-23: as 9-13. Model
+        1.2-machine: as 1.2; but 8: 0, 1, or 1/2 for grey; 9: n; 14: random, uniform in 0..1.
     Action: 0-1: left and right wheel, 0 is -12 cm/s and 1 is 12 cm/s.
     Turns: all robots at once, ten a second. A command takes effect in the next step.
     Start: places uniform in radius and angle in the disc of radius 1.2 m, headings uniform.
@@ -98,8 +94,10 @@ class Epuck(Teams):
         grid-exploration: minus the mean over 100 cells of the steps since the last visit, summed
         over steps. sca: robots in the shelter, summed over steps. spc: minus the mean distances
         of the square's area and the circle's line to robots, weighted. lcn: m^2 that the largest
-        connected group covers. cfa: 250 - 100 x the mean distance in m of the floor to robots that
-        are not on black, with the published code's wrong mean; cfa-corrected: with the right one.
+        connected group covers. homing: robots at home, summed over steps. cfa: 250 - 100 x the
+        mean distance in m of the floor to robots that are not on black, with the published code's
+        wrong mean; cfa-corrected: with the right one. generated: as drawn from `mission_seed`:
+        deliveries, robots at home, or the share of robots in the home that has most.
     Metrics: ``neighbours``, the mean number of messages that a robot hears in a step.
     """
 
@@ -114,22 +112,30 @@ class Epuck(Teams):
         model = MODELS[settings.reference_model]
         self.sensors = SENSOR_NAMES[model]
         self.inputs = len(self.sensors)
-        self.owners = (0,) * settings.robots
-        mission = MISSIONS[settings.mission]
+        mission = MISSIONS.get(settings.mission)
+        if mission is None:
+            mission = generated.mission(settings.mission_seed)
         self._mission = mission
-        walls = _walls(mission)
-        number = settings.robots
+        number = settings.robots or mission.robots
+        self.owners = (0,) * number
+        arena = mission.arena
+        walls = wall_rows(arena.outer + mission.walls)
         pairs = number * (number + len(walls))
         seconds = settings.seconds or mission.seconds
         self.world = EpuckWorld(
-            mission=missions.NAMES.index(settings.mission),
+            mission=missions.SCORES.index(mission.score or settings.mission),
             steps=max(1, round(seconds / STEP_S)),
             number=number,
             model=model,
-            outer_walls=len(DODECAGON),
-            free=FREE,
+            outer_walls=len(arena.outer),
+            free=arena.free,
             hearing=mission.hearing,
-            placing=PLACING,
+            around=arena.around,
+            start=mission.start,
+            sector_from=mission.sector[0],
+            sector_to=mission.sector[1],
+            spots=mission.spots,
+            at_end=int(mission.at_end),
             constants=np.array([*REALITIES[settings.reality], *mission.lamp]),
             walls=walls,
             floor=np.array(mission.floor, np.float64).reshape(-1, 6),
@@ -147,60 +153,39 @@ class Epuck(Teams):
 
     def frame(self) -> Frame:
         """Return the arena from above, y upwards in the world and downwards in the picture."""
-        world = self.world
-        bodies = []
-        for robot in range(world.number):
-            x, y, angle = world.robots[[X, Y, ANGLE], robot].tolist()
-            carries = (
-                MISSIONS["foraging"] is self._mission and world.robots[CARRIES, robot]
-            )
-            kind = "robot with an object" if carries else "robot"
-            heading = float(-angle)
-            bodies.append(Body(kind, HALF_SIDE + x, HALF_SIDE - y, RADIUS, heading))
+        world, side = self.world, self._mission.arena.half_side
+        bodies = [self._body(robot) for robot in range(world.number)]
         places = []
         for shape, x, y, half_x, half_y, grey in self._mission.floor:
             kind = "black floor" if grey == BLACK else "white floor"
             if shape == DISC:
-                bodies.append(Body(kind, HALF_SIDE + x, HALF_SIDE - y, half_x))
+                bodies.append(Body(kind, side + x, side - y, half_x))
             else:
-                left, right = max(x - half_x, -HALF_SIDE), min(x + half_x, HALF_SIDE)
-                low, high = max(y - half_y, -HALF_SIDE), min(y + half_y, HALF_SIDE)
-                places.append(
-                    Rectangle(
-                        *(kind, HALF_SIDE + left, HALF_SIDE - high),
-                        *(right - left, high - low),
-                    )
-                )
+                left, right = max(x - half_x, -side), min(x + half_x, side)
+                low, high = max(y - half_y, -side), min(y + half_y, side)
+                corner = side + left, side - high
+                places.append(Rectangle(kind, *corner, right - left, high - low))
         if self._mission.lamp[-1] > 0.0:
             x, y, _, _ = self._mission.lamp
-            bodies.append(Body("lamp", HALF_SIDE + x, HALF_SIDE - y, RADIUS / 2))
+            bodies.append(Body("lamp", side + x, side - y, RADIUS / 2))
         lines = []
         for x, y, cosine, sine, half_x, half_y, _ in world.walls.tolist():
             # The longer middle line of the box.
             dx, dy = (cosine * half_x, sine * half_x)
             if half_y > half_x:
                 dx, dy = (-sine * half_y, cosine * half_y)
-            lines.append(
-                Line(
-                    *("wall", HALF_SIDE + x - dx, HALF_SIDE - y + dy),
-                    *(HALF_SIDE + x + dx, HALF_SIDE - y - dy),
-                )
-            )
-        return Frame(2 * HALF_SIDE, 2 * HALF_SIDE, places, bodies, lines)
+            ends = (side + x - dx, side - y + dy, side + x + dx, side - y - dy)
+            lines.append(Line("wall", *ends))
+        return Frame(2 * side, 2 * side, places, bodies, lines)
 
-
-def _walls(mission: Mission) -> np.ndarray:
-    """Return (walls, WALL_COLUMNS): the dodecagon, then what is inside."""
-    cosines, sines = unit_vectors([degrees * PI / 180 for _, _, degrees in DODECAGON])
-    rows = [
-        [x, y, cosine, sine, HALF_THICKNESS, HALF_WALL, WALL_TOP]
-        for (x, y, _), cosine, sine in zip(DODECAGON, cosines, sines, strict=True)
-    ]
-    rows += [
-        [x, y, 1.0, 0.0, half_x, half_y, WALL_TOP]
-        for x, y, half_x, half_y in mission.walls
-    ]
-    return np.array(rows, np.float64)
+    def _body(self, robot: int) -> Body:
+        """Return a robot in the picture."""
+        x, y, angle = self.world.robots[[X, Y, ANGLE], robot].tolist()
+        forages = self.world.mission in (missions.FORAGING, missions.DELIVERIES)
+        carries = forages and self.world.robots[CARRIES, robot]
+        kind = "robot with an object" if carries else "robot"
+        side = self._mission.arena.half_side
+        return Body(kind, side + x, side - y, RADIUS, float(-angle))
 
 
 Epuck.problem = problem(

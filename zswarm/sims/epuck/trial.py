@@ -14,9 +14,12 @@ from zswarm.kernels.jit import inline
 from zswarm.kernels.portable import PI, cos, sin
 from zswarm.kernels.random import draw_normal, draw_uniform
 from zswarm.sims.epuck import missions, physics, reference_models, sensors
+from zswarm.sims.epuck.arenas import IN_AREA, OFF_SPOTS
 from zswarm.sims.epuck.walls import square_to
 from zswarm.sims.epuck.world import (
     ANGLE,
+    CENTRE_X,
+    CENTRE_Y,
     HEARD,
     LEFT,
     RADIUS,
@@ -44,8 +47,8 @@ def start(world, seed):
     world.impulses[:] = LONG_AGO
     robots = world.robots
     for robot in range(world.number):
-        robots[X, robot] = world.placing * (2.0 * draw_uniform(world.stream) - 1.0)
-        robots[Y, robot] = world.placing * (2.0 * draw_uniform(world.stream) - 1.0)
+        robots[X, robot] = world.around * (2.0 * draw_uniform(world.stream) - 1.0)
+        robots[Y, robot] = world.around * (2.0 * draw_uniform(world.stream) - 1.0)
     for robot in range(world.number):
         place(world, robot)
     physics.turn(world)
@@ -54,14 +57,18 @@ def start(world, seed):
 
 @inline(counts=False, inner=True, copied=False)
 def place(world, robot):
-    """Draw places in the disc for a robot until it overlaps nothing."""
+    """Draw places for a robot until it may start there."""
     robots = world.robots
     free = False
     while not free:
         a = draw_uniform(world.stream)
         b = draw_uniform(world.stream)
-        radius = max(a, b) * world.placing
-        angle = 2.0 * PI * (min(a, b) / max(a, b)) if max(a, b) > 0.0 else 0.0
+        if world.start == IN_AREA:
+            radius = max(a, b) * world.around
+            angle = 2.0 * PI * (min(a, b) / max(a, b)) if max(a, b) > 0.0 else 0.0
+        else:
+            radius = a * world.around
+            angle = world.sector_from + b * (world.sector_to - world.sector_from)
         robots[X, robot] = radius * cos(angle)
         robots[Y, robot] = radius * sin(angle)
         robots[ANGLE, robot] = 2.0 * PI * draw_uniform(world.stream)
@@ -70,8 +77,16 @@ def place(world, robot):
 
 @inline(counts=False, inner=True)
 def is_free(world, robot):
-    """Return whether a robot overlaps no wall and no other robot."""
+    """Return whether a robot may start where it is: it overlaps no wall and no other robot."""
     robots = world.robots
+    spots = world.floor.shape[0] if world.start == OFF_SPOTS else 0
+    if missions.on_spots(world, robot, 0, spots):
+        return False
+    for wall in range(world.outer_walls):  # beyond a wall's middle it is outside
+        x = world.walls[wall, CENTRE_X]
+        y = world.walls[wall, CENTRE_Y]
+        if robots[X, robot] * x + robots[Y, robot] * y > x * x + y * y:
+            return False
     for other in range(world.number):
         dx = robots[X, other] - robots[X, robot]
         dy = robots[Y, other] - robots[Y, robot]

@@ -33,7 +33,10 @@ HEARD, HEARD_X, HEARD_Y = range(
     35, 38
 )  # messages of this step, and the sum of their vectors
 CARRIES, TOUCHES = range(38, 40)
-ROBOT_ROWS = 40
+# Of the group of robots that has a robot's number, the largest changes of impulses: in the last
+# iteration, and so far in this one.
+CHANGE, CHANGES = range(40, 42)
+ROBOT_ROWS = 42
 
 # ``walls``: boxes, a row for each.
 CENTRE_X, CENTRE_Y, WALL_COSINE, WALL_SINE, HALF_LENGTH, HALF_WIDTH, WALL_HEIGHT = range(
@@ -70,13 +73,18 @@ class EpuckWorld(NamedTuple):
     mission: int
     steps: int
     number: int  # of robots
-    model: int  # reference model: 1 for 1.1, 2 for 1.2
+    model: int  # reference model: 1 for 1.1, 2 for 1.2, 3 for that of machines
     outer_walls: (
         int  # the first of ``walls``, which hide nothing because the arena is convex
     )
     free: float  # m, the radius of the disc around the middle without outer walls
     hearing: float  # m, the range of messages
-    placing: float  # m, the radius of the disc in which robots start
+    around: float  # m, the radius of the disc in which robots start
+    start: int  # the way in which they start, see ``arenas``
+    sector_from: float  # the angles between which they start
+    sector_to: float
+    spots: int  # the first discs of ``floor`` that are homes or nests
+    at_end: int  # 1 if only the last step counts
     constants: Float64s
     walls: Float64Rows
     floor: Float64Rows

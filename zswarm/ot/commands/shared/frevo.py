@@ -1,28 +1,23 @@
-"""Make a run from a result of FREVO: a ``.zre`` file with a population of fully-meshed nets.
+"""Read a result of FREVO: a ``.zre`` file with a population of fully-meshed nets.
 
 FREVO 1.5: github.com/smartgrids-aau/Frevo.
 """
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from zswarm import evaluate, experiment
-from zswarm.controller import Controller
+from zswarm import experiment
 from zswarm.errors import ConfigError
-from zswarm.experiment import Experiment
 from zswarm.ot.commands.shared import frevo_file as file
+from zswarm.ot.commands.shared.imported import Result
 from zswarm.ot.problem import Problem
-from zswarm.ot.record.writer import Record
-from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import keys
 from zswarm.system.text import clean
 
-MAX_BYTES = 64 << 20
-MAX_STEPS = 100_000  # of all trials, to play the champion
 PROBLEM = "emergencyexit.EmergencyExit"
 METHOD = "nnga.NNGA"
 REPRESENTATION = "fullyMeshedNet.FullyMeshedNet"
@@ -55,82 +50,13 @@ METHOD_SETTINGS = {
 }
 
 
-class FrevoResult(NamedTuple):
-    """The content of a file."""
-
-    experiment: Experiment  # complete
-    generation: int  # of the population
-    genomes: list[bytes]
-    fitness: np.ndarray  # (candidates,) float64
-    source: str  # the file and its method, safe to print
-    notes: list[str]  # what could not be imported, safe to print
-
-
-class Imported(NamedTuple):
-    """A run that was made from a file."""
-
-    folder: Path
-    champion: Controller
-    played: float | None  # the champion's fitness here; None: it was not played
-
-
-def load(path: Path) -> FrevoResult:
-    """Read a file.
+def read(path: Path, body: bytes) -> Result:
+    """Return a population from the content of a file.
 
     Raises:
-        ConfigError: it cannot be read, is damaged, or names a problem or a representation that
-            zswarm does not have.
+        ConfigError: it is damaged, or names a problem or a representation that zswarm does not
+            have.
     """
-    where = clean(str(path))
-    try:
-        with path.open("rb") as opened:
-            body = opened.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ConfigError(f"{where}: cannot be read: {reason}") from None
-    if len(body) > MAX_BYTES:
-        raise ConfigError(f"{where}: too large: expected at most {MAX_BYTES >> 20} MiB")
-    try:
-        return _result(path, body)
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error}") from None
-
-
-def record(result: FrevoResult, out: Path) -> Imported:
-    """Make a run's folder, with the population as generation 0, and play the champion to compare.
-
-    Raises:
-        ConfigError: the folder cannot be made below ``out``.
-    """
-    complete, genomes, fitness = result.experiment, result.genomes, result.fitness
-    problem = Problem(complete)
-    best = int(np.nanargmax(fitness))
-    code = version_hash(complete.problem.simulator, complete.representation.kind)
-    metrics = problem.simulator.metrics
-    with Record.create(out, complete, code, metrics, imported_from=result.source) as made:
-        statistics = {"best": float(fitness[best]), "mean": float(np.nanmean(fitness))}
-        made.finish(0, genomes, fitness, statistics, None)
-        run = made.meta("run_id")
-        champion = problem.controller(genomes[best], float(fitness[best]), run)
-        made.champion(champion)
-        made.set_meta("history_hash", made.history().hex())
-    return Imported(made.folder, champion, _play(problem, champion.genome))
-
-
-def _play(problem: Problem, genome: bytes) -> float | None:
-    """Return a candidate's fitness here, or None if that would take long."""
-    settings = problem.experiment.problem
-    if settings.trials * settings.settings["steps"] > MAX_STEPS:
-        return None
-    work = problem.workload([genome], 0)
-    trials = (work.genomes, work.participants, work.seeds)
-    work.fitness[:] = evaluate.evaluate(
-        problem.simulator, problem.representation, *trials
-    ).fitness
-    return float(problem.total(work)[0])
-
-
-def _result(path: Path, body: bytes) -> FrevoResult:
     root, nets = file.parse(body)
     _check_class(root, "problem", PROBLEM, "of the problem")
     _check_class(root, "representation", REPRESENTATION, "of networks of the kind")
@@ -178,7 +104,7 @@ def _result(path: Path, body: bytes) -> FrevoResult:
     method = root.find("method").get("class", "?")  # type: ignore[union-attr]  # _optimizer checked it
     source = clean(f"{path.name}: generation {generation} of FREVO's {method}")
     genomes = [net.genome for net in nets]
-    return FrevoResult(complete, generation, genomes, fitness, source, notes)
+    return Result(complete, generation, genomes, fitness, source, notes)
 
 
 def _problem(root: Element) -> dict[str, Any]:

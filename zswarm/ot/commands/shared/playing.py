@@ -1,10 +1,12 @@
 """Play runs and studies in the foreground, until they end or are stopped."""
 
 import contextlib
-import logging
+import importlib.util
 import os
 import signal
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
@@ -15,6 +17,7 @@ import click
 from zswarm.errors import ZswarmError
 from zswarm.ot.commands.shared.dashboard_process import dashboard
 from zswarm.ot.commands.shared.exits import EXIT_FAILED, EXIT_INTERRUPTED, EXIT_TERMINATED
+from zswarm.system.processes import CODE
 
 if TYPE_CHECKING:
     from zswarm.ot.cluster.connection import Connection
@@ -22,6 +25,14 @@ if TYPE_CHECKING:
     from zswarm.ot.logger import Logger
     from zswarm.ot.study.study import Study
 
+DRAW = """
+import os, sys
+from pathlib import Path
+os.nice(10)
+from zswarm.ot.analysis import figures
+for folder in sys.argv[1:]:
+    figures.save_picture(Path(folder))
+"""
 ENDINGS = (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError)
 
 
@@ -75,18 +86,27 @@ def play(
 
 @contextlib.contextmanager
 def figures() -> Iterator[list[Path]]:
-    """Collect folders, and draw their figures when everything else is done."""
+    """Collect folders, and have their figures drawn when everything else is done."""
     folders: list[Path] = []
     try:
         yield folders
     finally:
-        if folders:
-            from zswarm.ot.analysis import figures
+        if folders and importlib.util.find_spec("matplotlib") is not None:
+            _draw(folders)
 
-            # Where it caches its fonts does not concern a run.
-            logging.getLogger("matplotlib").setLevel(logging.ERROR)
-            for folder in folders:
-                figures.save_picture(folder, lambda line: click.echo(line, err=True))
+
+def _draw(folders: list[Path]) -> None:
+    """Have another program draw figures, which takes longer than to start it and to end."""
+    with contextlib.suppress(
+        OSError
+    ):  # such as no room for a process: the run is recorded
+        subprocess.Popen(
+            [sys.executable, *CODE, DRAW, *map(os.path.abspath, folders)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C and the end of the terminal are not for it
+        ).returncode = 0  # it is not waited for
 
 
 def _say_how_to_resume(folder: Path, error: BaseException) -> None:
