@@ -74,7 +74,7 @@ def help_page() -> str:
 def experiment_page() -> str:
     """Return docs/experiment.md with its tables made again."""
     sheets = {("## Top level",): experiment.top_level()}
-    for name in ("problem", "cluster", "study"):
+    for name in ("problem", "cluster", "stop", "study"):
         if name in experiment.Experiment.__struct_fields__:
             sheets[f"## `[{name}]`",] = settings_docs.keys(experiment.TABLES[name])
     for kind, bundled in plugins.BUNDLED.items():

@@ -109,7 +109,7 @@ def test_a_variant_of_another_kind_has_the_defaults_of_that_kind(tmp_path: Path)
         ("[study]\nat_once = -1", "study.at_once: expected int >= 0"),
         (
             "[study]\nrepeats = 2",
-            "study: unknown key 'repeats' (did you mean 'repeat'?); known are: repeat, at_once, ",
+            "study: unknown key 'repeats' (did you mean 'repeat'?); known are: repeat, ",
         ),
         ("study = 3", ""),
         ("[study]\nlist = 3", "study.list: expected array, got int"),
@@ -122,7 +122,7 @@ def test_a_variant_of_another_kind_has_the_defaults_of_that_kind(tmp_path: Path)
         ),
         (
             "[study.grid]\ngenerations = [3]\n[[study.list]]\ngenerations = 4",
-            "study: expected a grid or a list of settings, not both",
+            "study: expected a grid or variants, or a list of settings, not both",
         ),
         (
             "[study.grid]\nseed = [1, 2]",
@@ -238,3 +238,85 @@ def test_options_set_a_study(tmp_path: Path) -> None:
         ).study.runs()
         == 4
     )
+
+
+# ---- named settings, and a budget
+
+
+def test_variants_are_named_and_combined_with_the_grid(tmp_path: Path) -> None:
+    text = """
+[study.grid]
+"problem.trials" = [1, 2]
+[study.variants.small]
+representation = { kind = "feed-forward", layers = [2] }
+[study.variants."NNGA 60"]
+optimizer.population = 60
+"""
+    text = text.replace(", layers = [2]", "")
+    made = variants(study(tmp_path, text), "small.toml")
+    assert [variant.experiment.label for variant in made] == [
+        "small, trials 1",
+        "small, trials 2",
+        "NNGA 60, trials 1",
+        "NNGA 60, trials 2",
+    ]
+    assert [variant.experiment.representation.kind for variant in made] == [
+        *["feed-forward"] * 2,
+        *["fully-meshed"] * 2,
+    ]
+    assert made[2].settings == {"optimizer.population": 60, "problem.trials": 1}
+
+
+def test_a_grids_tables_replace_whole_ones_and_may_have_labels(tmp_path: Path) -> None:
+    text = """
+population = 70
+[study.grid]
+optimizer = [{ kind = "nnga" }, { kind = "cmaes", population = 9, label = "CMA-ES" }]
+"""
+    first, second = variants(study(tmp_path, text), "small.toml")
+    assert (first.experiment.label, second.experiment.label) == ("", "CMA-ES")
+    assert [
+        one.experiment.optimizer.settings["population"] for one in (first, second)
+    ] == [
+        50,
+        9,
+    ]
+    assert second.settings == {"optimizer": {"kind": "cmaes", "population": 9}}
+
+
+def test_a_budget_is_every_settings_limit(tmp_path: Path) -> None:
+    text = '[study]\nbudget = { evaluations = 900 }\n[study.grid]\n"optimizer.population" = [5, 9]'
+    whole = study(tmp_path, text)
+    assert [one.experiment.stop.evaluations for one in variants(whole, "x")] == [900, 900]
+    written = tmp_path / "written.toml"
+    written.write_text(to_toml(whole))
+    assert complete(load(written), "written.toml") == whole
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "[study]\nbudget = { evaluations = 3, simulations = 4 }",
+            "expected evaluations or simulations, not both",
+        ),
+        (
+            "[study.variants.a]\n'cluster.realm' = 'x'",
+            "study.variants.a: 'cluster.realm': ",
+        ),
+        (
+            "[study.grid]\ngenerations=[3]\n[study.variants.a]\ngenerations = 4",
+            "study: generations: expected in the grid or the variants only",
+        ),
+        (
+            "[study.grid]\noptimizer=[{kind='nnga',label='a'},{kind='cmaes',label='a'}]",
+            "study: two settings have the label 'a'",
+        ),
+        ('[study.variants."\\u0007"]\ngenerations = 4', "expected a printable name"),
+        ("[stop]\nfitnes = 3", "stop: unknown key 'fitnes' (did you mean 'fitness'?)"),
+    ],
+)
+def test_an_impossible_variant_or_budget_is_refused(
+    tmp_path: Path, text: str, message: str
+) -> None:
+    assert message in refusal(tmp_path, text)

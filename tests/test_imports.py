@@ -25,7 +25,7 @@ MODULES = {
 WALLS = """
 errors:
 system:             errors
-config:             errors protocol
+config:             errors protocol system
 plugins:            BASE
 kernels:            plugins
 protocol:           BASE
@@ -42,7 +42,8 @@ security:           BASE protocol
 session:            errors protocol security system
 daemon:             BASE security session
 router:             BASE daemon security session
-api:                errors experiment ot ot.analysis ot.cluster ot.record ot.study
+api:                errors experiment ot ot.cluster ot.record ot.study
+results:            errors ot.analysis ot.record system
 ot:                 BASE controller evaluate experiment kernels ot.assessment ot.cluster
                     ot.commands.shared ot.display ot.optimizers ot.rankings ot.record ot.study
                     plugins probe protocol
@@ -69,7 +70,7 @@ ot.replay:          BASE controller evaluate kernels nets ot.problem ot.record p
 ot.report:          BASE controller evaluate experiment nets ot.notes ot.analysis ot.estimate
                     ot.record ot.replay plugins sims
 ot.study:           BASE experiment ot.build ot.evolution ot.logger ot.notes ot.analysis ot.cluster
-                    ot.display ot.record protocol
+                    ot.display ot.estimate ot.problem ot.record ot.replay protocol
 robots:             BASE controller evaluate kernels nets robots.c robots.profiles sims
 robots.argos:       BASE controller nets robots.c sims.epuck
 robots.c:           BASE controller kernels plugins
@@ -100,7 +101,8 @@ ONLY_IN = {
     "cryptography": "security.authority security.certificates security.install security.requests",
     "pymunk": "sims.physics",
     "prometheus_client": "ss.local.metrics",
-    "matplotlib": "ot.analysis.drawing ot.analysis.figures api",  # for types only
+    "matplotlib": "ot.analysis.archive ot.analysis.boxes ot.analysis.drawing ot.analysis.figures "
+    "ot.commands.plot results",  # for types only
     "starlette": "ot.dashboard.app ot.dashboard.guard",
     "uvicorn": "ot.dashboard.serve",
     # A simulator must not depend on its state; environments are seeded with it.

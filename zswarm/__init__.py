@@ -17,7 +17,7 @@ from zswarm.system.version import VERSION
 __version__ = VERSION
 
 if TYPE_CHECKING:
-    from zswarm.api import connect, load, plot, problem, read, resume, run, start, study
+    from zswarm.api import connect, load, problem, read, resume, run, start, study
     from zswarm.controller import Controller, Driver, HeldOut
     from zswarm.errors import (
         ConfigError,
@@ -36,9 +36,11 @@ if TYPE_CHECKING:
     from zswarm.ot.notes import Note
     from zswarm.ot.problem import Problem
     from zswarm.ot.record.reader import Run
+    from zswarm.results import compare, plot, tidy
     from zswarm.sims.randomized import drawn
 
 __all__ = [
+    "compare",
     "connect",
     "load",
     "plot",
@@ -48,6 +50,7 @@ __all__ = [
     "run",
     "start",
     "study",
+    "tidy",
 ]
 __all__ += ["ConfigError", "EvaluationError", "KeysError", "NoServers", "Stopped"]
 __all__ += ["UnknownPlugin", "ZswarmError"]
@@ -79,7 +82,10 @@ _HOME = {
     "Result": "ot.logger",
     "Run": "ot.record.reader",
     "Started": "ot.logger",
+    "compare": "results",
     "drawn": "sims.randomized",
+    "plot": "results",
+    "tidy": "results",
 }
 
 

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from msgspec.structs import replace
 
@@ -16,7 +16,6 @@ from zswarm import experiment as experiments
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.experiment import Experiment
 from zswarm.ot import embedding, evolution
-from zswarm.ot.analysis import grouping
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.embedding import Source
 from zswarm.ot.evolution import Evolution
@@ -24,13 +23,6 @@ from zswarm.ot.logger import Logger
 from zswarm.ot.problem import Problem
 from zswarm.ot.record.folder import load_experiment
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import runs_below
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from zswarm.ot.analysis.curves import Axis
-    from zswarm.ot.analysis.drawing import Size
 
 Folder = str | os.PathLike[str]
 
@@ -332,43 +324,6 @@ def read(folder: Folder) -> Run:
         history = zswarm.read("runs/stadium").to_pandas()
     """
     return Run(Path(folder))
-
-
-def plot(
-    *runs: Folder | Run,
-    x: "Axis" = "generation",
-    size: "Size" = "column",
-    title: str = "",
-    lowest: float | None = None,
-) -> "Figure":
-    """Return a matplotlib figure of learning curves; repeats are a median with a band.
-
-    Args:
-        runs: runs, their folders, or folders that contain runs.
-        x: the horizontal axis: "generation", "evaluations" or "time".
-        size: "column" or "page" of a paper, or "slides".
-        title: above the figure.
-        lowest: lower limit of the fitness axis.
-
-    Raises:
-        ConfigError: there are no runs, none finished a generation or reached ``lowest``, or
-            matplotlib is missing.
-        ValueError: another x or size.
-
-    Example::
-
-        seeds = [zswarm.run(zswarm.load("stadium", {"seed": seed})) for seed in range(5)]
-        zswarm.plot(*seeds).savefig("stadium.pdf")
-    """
-    from zswarm.ot.analysis import curves, figures
-
-    found: list[Run] = []
-    for run in runs:
-        found += [run] if isinstance(run, Run) else runs_below([Path(run)])
-    if not found:
-        raise ConfigError("plot: expected at least one run")
-    loaded, _ = curves.load(grouping.groups(found))
-    return figures.for_notebooks(figures.of_series(loaded, x, size, title, lowest))
 
 
 # ---- arguments

@@ -9,8 +9,6 @@ All functions raise ``ConfigError`` for what cannot be used.
 
 import contextlib
 import functools
-import itertools
-import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,12 +20,12 @@ from msgspec import Meta
 from msgspec.structs import asdict, replace
 
 from zswarm.config import overrides as changes
-from zswarm.config import ranges, settings_docs
+from zswarm.config import ranges, settings_docs, studies
 from zswarm.config.decode import convert, read
 from zswarm.config.sections import (
     ABSOLUTE,
-    MAX_RUNS,
     AssessmentConfig,
+    BudgetConfig,
     ClusterConfig,
     PartConfig,
     PartKind,
@@ -35,8 +33,10 @@ from zswarm.config.sections import (
     ProblemConfig,
     RankingKind,
     RecordConfig,
+    StopConfig,
     StudyConfig,
 )
+from zswarm.config.studies import LAST_SEED as LAST_SEED
 from zswarm.config.suggest import nearest
 from zswarm.config.toml_lines import located
 from zswarm.errors import ConfigError, UnknownPlugin
@@ -44,9 +44,7 @@ from zswarm.plugins import registry as plugins
 from zswarm.protocol import endpoint, keys, labels
 from zswarm.system.text import clean
 
-LAST_SEED = 2**63 - 2
-MAX_SHOWN = 60  # characters of a value in an error
-PARTS = ("representation", "optimizer", "ranking")
+PARTS = studies.PARTS
 SETTINGS = "problem.settings."
 
 
@@ -63,14 +61,18 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True):
     assessment: AssessmentConfig = AssessmentConfig()
     cluster: ClusterConfig
     record: RecordConfig = RecordConfig()
+    stop: StopConfig = StopConfig()
     study: StudyConfig = StudyConfig()
+    label: str = ""
 
 
 class Variant(NamedTuple):
     """A setting of a study."""
 
     settings: dict[str, Any]  # changes by path
-    experiment: Experiment  # complete, with these changes and no study
+    experiment: (
+        Experiment  # complete, with these changes, its label and budget, and no study
+    )
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -90,7 +92,15 @@ class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     assessment: AssessmentConfig = AssessmentConfig()
     cluster: ClusterConfig = ClusterConfig()
     record: RecordConfig = RecordConfig()
+    stop: StopConfig = StopConfig()
     study: StudyConfig = StudyConfig()
+    label: Annotated[
+        str,
+        Meta(
+            max_length=60,
+            description="name of the setting in tables and figures, in place of what differs",
+        ),
+    ] = ""
 
 
 TABLES: dict[str, type[msgspec.Struct]] = {
@@ -101,6 +111,7 @@ TABLES: dict[str, type[msgspec.Struct]] = {
     "assessment": AssessmentConfig,
     "cluster": ClusterConfig,
     "record": RecordConfig,
+    "stop": StopConfig,
     "study": StudyConfig,
 }
 CHECKS: dict[str, Callable[[list[str], str], Any]] = {  # of [cluster]
@@ -171,7 +182,7 @@ def check(mapping: Mapping[str, Any], where: str) -> Experiment:
         }
         parts = {part: _part(table, part, where) for part, table in tables.items()}
     with located(where, lambda: mapping, "study"):
-        _check_study(file.study, file.seed, f"{where}: study")
+        studies.check(file.study, file.seed, f"{where}: study")
     return Experiment(**asdict(file) | parts)
 
 
@@ -211,8 +222,9 @@ def variants(complete: Experiment, where: str) -> list[Variant]:
     made: list[Variant] = []
     alone = replace(complete, study=StudyConfig())
     seen: dict[bytes, str] = {}
-    for settings in complete.study.settings():
-        words = _in_words(settings)
+    names: set[str] = set()
+    for settings, label in complete.study.settings():
+        words = studies.in_words(settings)
         at = f"{where}: study: with {words}" if settings else where
         mapping = to_mapping(alone)
         _drop_settings(mapping, settings)
@@ -224,9 +236,29 @@ def variants(complete: Experiment, where: str) -> list[Variant]:
             raise ConfigError(
                 f"{where}: study: the same setting twice: {seen[whole]}, and {words}"
             )
+        if label in names:
+            raise ConfigError(
+                f"{where}: study: two settings have the label {label!r}: they differ in "
+                "values without a label"
+            )
         seen[whole] = words
-        made.append(Variant(settings, variant))
+        names |= {label} - {""}
+        made.append(Variant(settings, _labelled(variant, label, complete)))
     return made
+
+
+def _labelled(variant: Experiment, label: str, whole: Experiment) -> Experiment:
+    """Return a variant with its label, and the limits that the study's budget sets."""
+    budget, stop, generations = whole.study.budget, variant.stop, variant.generations
+    if budget != BudgetConfig():
+        stop = replace(
+            stop, evaluations=budget.evaluations, simulations=budget.simulations
+        )
+        each = max(1, budget.simulations // variant.problem.trials)
+        generations = (
+            budget.evaluations or each
+        )  # a generation has one candidate at least
+    return replace(variant, label=label, stop=stop, generations=generations)
 
 
 def with_cluster(experiment: Experiment, changes: Mapping[str, Any]) -> Experiment:
@@ -261,8 +293,13 @@ def to_mapping(experiment: Experiment) -> dict[str, Any]:
     mapping: dict[str, Any] = msgspec.to_builtins(experiment)
     for part in PARTS:
         mapping[part] = {"kind": mapping[part]["kind"], **mapping[part]["settings"]}
-    study = mapping.pop("study")
+    study, stop = mapping.pop("study"), mapping.pop("stop")
+    if not experiment.label:
+        del mapping["label"]
+    if experiment.stop != StopConfig():
+        mapping["stop"] = _without_none(stop)
     if experiment.study != StudyConfig():
+        study["budget"] = {key: value for key, value in study["budget"].items() if value}
         mapping["study"] = {
             key: value for key, value in study.items() if value not in ({}, [])
         }
@@ -332,51 +369,6 @@ def _part(table: Mapping[str, Any], part: str, where: str) -> PartConfig:
         expected = 'expected the name of one, such as kind = "..."'
         raise ConfigError(f"{where}: {part}: kind: {expected}", (part,))
     return PartConfig(kind=kind, settings=settings)
-
-
-def _check_study(study: StudyConfig, seed: int, where: str) -> None:
-    if study.grid and study.listed:
-        raise ConfigError(f"{where}: expected a grid or a list of settings, not both")
-    for path, values in study.grid.items():
-        _check_path(path, f"{where}.grid")
-        if not values:
-            raise ConfigError(
-                f"{where}.grid: {path}: expected a list of at least one value"
-            )
-    for path in itertools.chain.from_iterable(study.listed):
-        _check_path(path, f"{where}.list")
-    if (runs := study.runs()) > MAX_RUNS:
-        raise ConfigError(f"{where}: {runs:,} runs; expected {MAX_RUNS:,} at most")
-    if seed + study.repeat - 1 > LAST_SEED:
-        raise ConfigError(
-            f"{where}: repeat: expected seed + repeat - 1, the last seed, to be {LAST_SEED} at most"
-        )
-
-
-def _check_path(path: str, where: str) -> None:
-    table, *keys_below = path.split(".")
-    if table == "seed":
-        raise ConfigError(
-            f"{where}: seed: the runs of a setting have the seeds seed, seed + 1, ...; give their "
-            "number as study.repeat"
-        )
-    varied = ("generations", "problem", *PARTS)
-    if table not in varied or not all(keys_below):
-        meant = nearest(table, varied) if table not in varied else ""
-        raise ConfigError(
-            f"{where}: '{clean(path)}'{meant}: expected generations, or a path below problem, "
-            "representation, optimizer or ranking, such as optimizer.population"
-        )
-
-
-def _in_words(settings: Mapping[str, Any]) -> str:
-    """Return ``optimizer.population = 50, generations = 100``, for errors."""
-    words = []
-    for path, value in settings.items():
-        text = clean(json.dumps(value, default=str))
-        short = text if len(text) <= MAX_SHOWN else f"{text[: MAX_SHOWN - 3]}..."
-        words.append(f"{clean(path)} = {short}")
-    return ", ".join(words) or "nothing changed"
 
 
 def _drop_settings(mapping: dict[str, Any], values: Mapping[str, Any]) -> None:

@@ -124,7 +124,11 @@ def test_an_optimizer_killed_in_the_assessment_resumes_there(tmp_path: Path) -> 
 
 @pytest.mark.parametrize(
     ("number", "code"),
-    [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.long)],
+    [
+        (signal.SIGINT, 130),
+        pytest.param(signal.SIGTERM, 143, marks=pytest.mark.long),
+        pytest.param(signal.SIGHUP, 143, marks=pytest.mark.long),
+    ],
 )
 def test_a_stopped_optimizer_prints_how_to_resume(
     tmp_path: Path, number: int, code: int

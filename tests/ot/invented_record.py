@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from zswarm import experiment
+from zswarm.config.sections import PartConfig
 from zswarm.controller import Controller
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note
@@ -29,6 +30,8 @@ def written(
     notes: Sequence[Note] = (),
     simulator: str = "emergency-exit",
     settings: Mapping[str, Any] | None = None,
+    trials: int = 1,
+    optimizer: PartConfig = EXPERIMENT.optimizer,
 ) -> Path:
     """Write a run with its best fitness after each generation; NaN: every candidate failed."""
     representation = msgspec.structs.replace(
@@ -38,6 +41,7 @@ def written(
     problem = msgspec.structs.replace(
         EXPERIMENT.problem,
         simulator=simulator,
+        trials=trials,
         settings={**EXPERIMENT.problem.settings, **(settings or {})},
     )
     complete = msgspec.structs.replace(
@@ -45,6 +49,7 @@ def written(
         seed=seed,
         generations=len(best) + (not finished),
         representation=representation,
+        optimizer=optimizer,
         problem=problem,
     )
     genomes = [

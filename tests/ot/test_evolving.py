@@ -272,7 +272,7 @@ class Said(Logger):
 def test_diverging_proposals_are_reported_and_the_run_continues(
     tmp_path: Path, servers: Genes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Draws may differ on another processor or version, here from generation 3 on."""
+    """Draws may differ on another processor or version, here from generation 2 on."""
     complete = with_cmaes()
     with created(tmp_path, complete) as record:
         evolution = begun(record, complete, servers)
@@ -295,9 +295,9 @@ def test_diverging_proposals_are_reported_and_the_run_continues(
             run.evolve(build(complete), record, servers, said, threading.Event())
         )  # type: ignore[arg-type]
     assert said.lines[1:] == [
-        "cmaes would have proposed other candidates from generation 2 on; "
+        "cmaes would have proposed other candidates from generation 3 on; "
         "it continues from the recorded ones",
-        "generation 3 was begun with other candidates: 10 trials are dropped",
+        "generation 4 was begun with other candidates: 10 trials are dropped",
     ]
     assert ended.evaluations == 40
     genomes = [

@@ -136,7 +136,7 @@ def test_another_candidate_is_named_as_in_replay(run: Path) -> None:
         )
     told = json.loads(
         typed(
-            run, "--to", "json", "--json", "--generation", "0", "--candidate", "3"
+            run, "--to", "json", "--json", "--generation", "1", "--candidate", "3"
         ).output
     )
     assert told["fitness"] == rows[0][3]["fitness"]
@@ -159,7 +159,7 @@ def test_a_champion_file_alone_can_be_exported(run: Path, tmp_path: Path) -> Non
         ),
         (
             ["--to", "json", "--generation", "9"],
-            "no generation 9; it has generations 0 to 1",
+            "no generation 9; it has generations 1 to 2",
         ),
         (["--to", "json", "--candidate", "-1"], "it has candidates 0 to 3"),
         (

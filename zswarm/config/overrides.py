@@ -65,6 +65,12 @@ def with_flat_study(mapping: Mapping[str, Any], where: str) -> Mapping[str, Any]
     flat = dict(study)
     if isinstance(grid := flat.get("grid"), Mapping):
         flat["grid"] = _by_path(grid, f"{where}: study.grid")
+    if isinstance(variants := flat.get("variants"), Mapping):
+        at = f"{where}: study.variants"
+        flat["variants"] = {
+            name: _by_path(row, f"{at}.{name}") if isinstance(row, Mapping) else row
+            for name, row in variants.items()
+        }
     if isinstance(rows := flat.get("list"), list):
         at = f"{where}: study.list"
         flat["list"] = [

@@ -4,14 +4,17 @@
 """
 
 import itertools
+import json
 import math
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta
 
 from zswarm.config.meta import about, above, within
 from zswarm.protocol.messages import MIN_MEMORY_MB, Megabytes
+from zswarm.system.text import clean
 
 Positive = Annotated[int, Meta(ge=1, le=1_000_000_000)]
 KeptGenomes = Literal["all", "best"] | Positive
@@ -232,6 +235,55 @@ class RecordConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     ] = "all"
 
 
+class StopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``[stop]``: when a run ends before its last generation, judged after each generation.
+
+    0, and no fitness: no such limit.
+    """
+
+    evaluations: Annotated[
+        int,
+        within(
+            0,
+            1_000_000_000,
+            "evaluations that a run may use: it ends where another generation as large as the "
+            "last would exceed them",
+        ),
+    ] = 0
+    simulations: Annotated[
+        int, within(0, 1_000_000_000_000, "likewise, in simulations: trials, or games")
+    ] = 0
+    fitness: Annotated[
+        float | None,
+        about("end once a candidate has this fitness, as the mean of its trials"),
+    ] = None
+    stagnation: Annotated[
+        int,
+        within(0, 1_000_000_000, "end after this many generations without a better one"),
+    ] = 0
+    seconds: Annotated[
+        float,
+        within(
+            0,
+            1e9,
+            "end after this time of computing; such a run does not repeat on other machines",
+        ),
+    ] = 0.0
+
+
+class BudgetConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """``study.budget``: what each run may use. Give one of them."""
+
+    evaluations: Annotated[int, within(0, 1_000_000_000, "evaluations of each run")] = 0
+    simulations: Annotated[
+        int, within(0, 1_000_000_000_000, "simulations of each run")
+    ] = 0
+
+    def __post_init__(self) -> None:
+        if self.evaluations and self.simulations:
+            raise ValueError("expected evaluations or simulations, not both")
+
+
 class StudyConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[study]``: several runs of one file. It takes no part in the history of any."""
 
@@ -244,11 +296,25 @@ class StudyConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     at_once: Annotated[
         int, within(0, 100, "runs at the same time; 0: as many as keep the slots busy")
     ] = 0
+    budget: Annotated[
+        BudgetConfig,
+        about(
+            "what each run may use, in place of `generations`: "
+            "`{ evaluations = 20000 }` or `{ simulations = 200000 }`"
+        ),
+    ] = BudgetConfig()
+    variants: Annotated[
+        dict[str, dict[str, Any]],
+        about(
+            "named settings: `[study.variants.NAME]`, each with the paths and values, or "
+            "the tables, that it changes; with a grid, every combination"
+        ),
+    ] = {}
     grid: Annotated[
         dict[str, list[Any]],
         about(
             'paths and their values, such as `"optimizer.population" = [50, 100]`: '
-            "every combination is a setting"
+            "every combination is a setting. A value may be a whole table, and have a `label`"
         ),
     ] = {}
     listed: Annotated[
@@ -259,13 +325,69 @@ class StudyConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         ),
     ] = msgspec.field(default_factory=list, name="list")
 
-    def settings(self) -> list[dict[str, Any]]:
-        """Return the changes of each setting, by path; the last key of the grid varies fastest."""
+    def settings(self) -> list["StudySetting"]:
+        """Return the settings in order; the last key of the grid varies fastest."""
         if self.listed:
-            return [dict(setting) for setting in self.listed]
-        rows = itertools.product(*self.grid.values())
-        return [dict(zip(self.grid, row, strict=True)) for row in rows]
+            return [StudySetting(dict(each), "") for each in self.listed]
+        axes = [
+            [({path: value}, _label(value)) for value in values]
+            for path, values in self.grid.items()
+        ]
+        if self.variants:
+            named = [(dict(each), name) for name, each in self.variants.items()]
+            axes.insert(0, named)
+        return [_joined(row) for row in itertools.product(*axes)]
+
+    def varies(self) -> bool:
+        """Return whether there is a setting that changes the experiment."""
+        return any(changes for changes, _ in self.settings())
+
+    def count(self) -> int:
+        """Return the number of settings."""
+        grid = math.prod(map(len, self.grid.values()))
+        return len(self.listed) or grid * max(1, len(self.variants))
 
     def runs(self) -> int:
         """Return the number of runs."""
-        return self.repeat * (len(self.listed) or math.prod(map(len, self.grid.values())))
+        return self.repeat * self.count()
+
+
+class StudySetting(NamedTuple):
+    """A setting of a study."""
+
+    changes: dict[str, Any]  # by path
+    label: str  # chosen by the user, or ""
+
+
+def shown(value: Any) -> str:
+    """Return a value in a few words: of a table the kind."""
+    if isinstance(value, dict) and isinstance(value.get("kind"), str):
+        return clean(value["kind"])
+    return clean(value if isinstance(value, str) else json.dumps(value, default=str))
+
+
+def _label(value: Any) -> str:
+    """Return the label of a grid's value that is a table, or ""."""
+    found = value.get("label") if isinstance(value, dict) else None
+    return found if isinstance(found, str) else ""
+
+
+def _joined(row: Sequence[tuple[dict[str, Any], str]]) -> StudySetting:
+    """Return the setting of a combination; it has a label if any of its parts has one."""
+    changes: dict[str, Any] = {}
+    labels = []
+    for changed, label in row:
+        for path, value in changed.items():
+            table = isinstance(value, dict) and "label" in value
+            changes[path] = (
+                {key: item for key, item in value.items() if key != "label"}
+                if table
+                else value
+            )
+        words = (
+            f"{path.rpartition('.')[2]} {shown(value)}" for path, value in changed.items()
+        )
+        labels.append(label or ", ".join(words))
+    return StudySetting(
+        changes, ", ".join(labels) if any(each for _, each in row) else ""
+    )

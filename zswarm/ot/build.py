@@ -51,6 +51,12 @@ def build(complete: Experiment) -> Parts:
             f'record: genomes: expected "all" with the optimizer {kind}: a resume tells it all '
             "genomes again"
         )
+    stop = complete.stop
+    if problem.ranking.relative and (stop.fitness is not None or stop.stagnation):
+        raise ConfigError(
+            "stop: fitness and stagnation need fitness that compares between generations; scores "
+            f"of {complete.ranking.kind} do not"
+        )
     optimizer.relative = problem.ranking.relative
     if complete.problem.seeds == "fresh" and simulator.fixed_seeds(1) is not None:
         raise ConfigError(

@@ -190,9 +190,8 @@ def resume(
         now = identity.here(complete, record.resumed().generation)
         portable = parts.optimizer.portable
         if before and (how := identity.change(before[0], now, portable=portable)):
-            logger.on_say(
-                f"what computes was changed before generation {now.generation}: {how}; {CHANGED}"
-            )
+            where = f"before generation {now.generation + 1}"
+            logger.on_say(f"what computes was changed {where}: {how}; {CHANGED}")
         with contextlib.closing(
             _evolution(parts, record, connection, logger)
         ) as evolution:

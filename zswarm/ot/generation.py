@@ -31,6 +31,11 @@ class Assessment:
         self._rounds: list[Round] = []
         self._begin(problem.ranking.next_games(len(genomes), ()))
 
+    @property
+    def trials(self) -> int:
+        """The number of trials of all rounds so far."""
+        return int(sum(len(workload.seeds) for workload in self._workloads))
+
     def advance(self) -> bool:
         """Begin the next round when all of this one is counted; return False if there is none."""
         self._rounds.append(self._problem.played(self.workload))
@@ -70,8 +75,7 @@ class Assessment:
 
     def _play(self, workload: Workload, numbers: np.ndarray | None = None) -> None:
         """Make a workload the present one; see ``Workload.place`` about the numbers."""
-        first = int(sum(len(earlier.seeds) for earlier in self._workloads))
-        workload.place(self.generation, len(self._workloads), first, numbers)
+        workload.place(self.generation, len(self._workloads), self.trials, numbers)
         self._workloads.append(workload)
         self.workload = workload
 

@@ -56,6 +56,7 @@ class Result(NamedTuple):
     champion: HeldOut | None = None  # fitness on held-out seeds, if it was assessed
     # 32 hex digits: of the history and the assessment after it.
     assessment_hash: str = ""
+    trials: int = 1  # of a candidate: fitness is their sum; 1 for scores
 
     def as_object(self) -> dict[str, Any]:
         """Return what is reported to programs."""

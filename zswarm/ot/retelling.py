@@ -24,8 +24,8 @@ def retell(
     for generation, one in enumerate(told):
         if list(map(digest, optimizer.ask())) != digests(generation):
             raise ConfigError(
-                f"optimizer: generation {generation} was recorded with other candidates than this "
-                "program proposes: resume with the versions with which the run began"
+                f"optimizer: generation {generation + 1} was recorded with other candidates than "
+                "this program proposes: resume with the versions with which the run began"
             )
         optimizer.tell(one.fitness, one.measures)
 

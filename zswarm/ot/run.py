@@ -3,11 +3,13 @@
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator
+from contextlib import AbstractContextManager
 
 import msgspec
 from msgspec import structs
 
 from zswarm.config.decode import to_json
+from zswarm.config.sections import StopConfig
 from zswarm.controller import HeldOut
 from zswarm.ot.assessment.contest import Contest
 from zswarm.ot.assessment.track import Track
@@ -21,9 +23,11 @@ from zswarm.ot.generation import Assessment, assess
 from zswarm.ot.identity import here
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.ot.notes import Note, RunEvent, words
+from zswarm.ot.record import stopping
 from zswarm.ot.record.history_hash import VERSION as HISTORY_VERSION
 from zswarm.ot.record.packing import PackedState
 from zswarm.ot.record.schema import ASSESSMENT
+from zswarm.ot.record.stopping import Spent, StopWatch
 from zswarm.ot.record.writer import Record
 from zswarm.ot.retelling import retell, timed
 from zswarm.ot.seen_seeds import SeenSeeds
@@ -54,19 +58,9 @@ def evolve(
     """
     begin, (problem, optimizer) = time.monotonic(), parts
     notebook = _Notebook(parts, record, logger)
-    first, last = notebook.resume(connection), problem.experiment.generations
-    leased = connection.cluster(
-        problem,
-        run=notebook.run_id,
-        program=RunProgram(record.meta("epoch"), record.meta("secret")),
-        slots=problem.trials_at_once(optimizer.candidates) or messages.MAX_SLOTS,
-        probe=notebook.probe,
-        known=notebook.known(),
-        say=logger.on_say,
-        stop=stop,
-        taken_over=record.taken_over,
-    )
-    with leased as cluster:
+    first = notebook.resume(connection)
+    last = first if notebook.why else problem.experiment.generations
+    with notebook.leased(connection, stop) as cluster:
         for early in connection.wait(cluster):
             notebook.take(early)
         if first < last:
@@ -82,14 +76,16 @@ def evolve(
                 notebook.follow(items, assessment.workload)
             ended = assessment
             state = notebook.tell(ended)
-            if generation + 1 < last:
+            more = generation + 1 < last and not notebook.ends(ended)
+            if more:
                 # Servers have work while this generation is recorded.
                 assessment = assess(problem, optimizer, generation + 1)
                 items = cluster.evaluate(assessment.workload)
             yield notebook.finish(ended, state, cluster)
             obey(cluster)
-            if generation + 1 < last:
-                record.begin(generation + 1, assessment.workload)
+            if not more:
+                break
+            record.begin(generation + 1, assessment.workload)
         notebook.end(cluster, obey)
     return notebook.result(time.monotonic() - begin)
 
@@ -103,6 +99,8 @@ class _Notebook:
         record.say = logger.on_say
         self._held_out: HeldOut | None = None  # fitness of the champion
         self._hash = ""  # of the assessment
+        self.why = ""  # the run ends before its last generation
+        self._since = time.monotonic()  # the last generation ended, or the program began
         self.run_id: str = record.meta("run_id")
         self.probe: bytes = record.meta("probe") or b""
 
@@ -133,7 +131,12 @@ class _Notebook:
         self._improved = optimizer.best()[1]
         if optimizer.fresh:
             self._seen = SeenSeeds.of_record(record)
-        self._candidates = record.evaluations()
+        self._candidates, self._ended = record.evaluations(), resumed.generation
+        stop, trials = complete.stop, complete.problem.trials
+        self._watch = StopWatch(
+            stop, trials, record.spent() if stop != StopConfig() else ()
+        )
+        self.why = self._watch.reason()
         now = here(complete, resumed.generation)
         record.note(Note(RunEvent.BEGAN, text=now.text, count=record.meta("epoch")))
         self._logger.on_start(Started(record.folder, complete, resumed.generation))
@@ -151,7 +154,7 @@ class _Notebook:
         if optimizer.diverged is not None:
             say(
                 f"{complete.optimizer.kind} would have proposed other candidates from generation "
-                f"{optimizer.diverged} on; it continues from the recorded ones"
+                f"{optimizer.diverged + 1} on; it continues from the recorded ones"
             )
         return resumed.generation
 
@@ -162,7 +165,7 @@ class _Notebook:
         record.begin(generation, assessment.workload)
         if not optimizer.portable and (others := record.forget_others()):
             self._logger.on_say(
-                f"generation {generation} was begun with other candidates: {others} trials are "
+                f"generation {generation + 1} was begun with other candidates: {others} trials are "
                 "dropped"
             )
         record.restore(assessment.workload)
@@ -192,6 +195,36 @@ class _Notebook:
                     self._logger.on_say(line)
             case None:
                 self._record.check()
+
+    def leased(
+        self, connection: Connection, stop: threading.Event
+    ) -> AbstractContextManager[Cluster]:
+        """Ask for the slots that evaluate the run."""
+        problem, optimizer, record = self._problem, self._optimizer, self._record
+        return connection.cluster(
+            problem,
+            run=self.run_id,
+            program=RunProgram(record.meta("epoch"), record.meta("secret")),
+            slots=problem.trials_at_once(optimizer.candidates) or messages.MAX_SLOTS,
+            probe=self.probe,
+            known=self.known(),
+            say=self._logger.on_say,
+            stop=stop,
+            taken_over=record.taken_over,
+        )
+
+    def ends(self, ended: Assessment) -> bool:
+        """Return whether the run ends after a generation that was told."""
+        before, self._since = self._since, time.monotonic()
+        spent = Spent(
+            self._optimizer.best()[1],
+            len(ended.genomes),
+            ended.trials,
+            self._since - before,
+        )
+        self._watch.take(spent)
+        self.why = self._watch.reason()
+        return bool(self.why)
 
     def _arbitrated(self, digest: bytes) -> None:
         """Record what this machine computed of the probe: a resume does not decide again."""
@@ -235,7 +268,10 @@ class _Notebook:
         if standing.probe not in (b"", self.probe):  # or it was wrong, or of fewer trials
             self.probe = standing.probe
             record.set_meta("probe", self.probe)
-        self._candidates += len(genomes)
+        self._candidates, self._ended = (
+            self._candidates + len(genomes),
+            ended.generation + 1,
+        )
         generation = Generation(
             ended.generation,
             statistics["best"],
@@ -246,6 +282,10 @@ class _Notebook:
             statistics,
         )
         self._logger.on_generation(generation)
+        if self.why:
+            stop = self._problem.experiment.stop
+            record.set_meta(stopping.STOPPED, stopping.entry(stop, self.why))
+            self._logger.on_say(f"ends after generation {self._ended}: {self.why}")
         return generation
 
     def end(self, cluster: Cluster, obey: Callable[[Cluster], None]) -> None:
@@ -300,7 +340,7 @@ class _Notebook:
         record.sync()
         return Result(
             run=str(record.folder),
-            generations=self._problem.experiment.generations,
+            generations=self._ended,
             best=self._optimizer.best()[1],
             evaluations=self._candidates,
             history_hash=history,
@@ -309,6 +349,9 @@ class _Notebook:
             champion=self._held_out,
             assessment_hash=self._hash,
             history_version=HISTORY_VERSION,
+            trials=1
+            if self._optimizer.relative
+            else self._problem.experiment.problem.trials,
             **record.counts(),
         )
 

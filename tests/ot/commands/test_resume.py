@@ -73,9 +73,9 @@ def test_a_finished_run_whose_experiment_was_changed_is_refused(tmp_path: Path) 
 def test_going_back_further_than_there_are_generations_is_refused(tmp_path: Path) -> None:
     folder = written(tmp_path, [1, 2.5])
     recorded = (folder / "run.sqlite").read_bytes()
-    with pytest.raises(ConfigError, match="2 generations are finished: expected 0 to 2"):
+    with pytest.raises(ConfigError, match="2 generations are finished: expected 1 to 3"):
         CliRunner().invoke(
-            command, ["resume", str(folder), "--from", "3"], catch_exceptions=False
+            command, ["resume", str(folder), "--from", "4"], catch_exceptions=False
         )
     assert (folder / "run.sqlite").read_bytes() == recorded
     assert sorted(path.suffix for path in folder.iterdir() if "before" in path.name) == []

@@ -25,7 +25,7 @@ def test_an_address_must_ask_for_a_number(tmp_path: Path) -> None:
         with pytest.raises(ConfigError, match="generation: expected a whole number"):
             endpoints.BY_NAME["generation"](run, {"generation": text})
     with pytest.raises(
-        LookupError, match="generation 7 has no candidate 0; the record has 1 generations"
+        LookupError, match="generation 8 has no candidate 0; the record has 1 generations"
     ):
         endpoints.candidate(run, {"generation": "7", "candidate": "0"})
 

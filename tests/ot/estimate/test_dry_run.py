@@ -252,3 +252,20 @@ def test_equal_results_are_promised_where_all_parts_give_them(
 ) -> None:
     promised = msgspec.structs.replace(explained("minisim"), **changed)
     assert dict(lines(promised, complete("minisim")))["result"] == result
+
+
+def test_check_shows_every_setting_of_a_study_and_refuses_an_impossible_one(
+    tmp_path: Path,
+) -> None:
+    """The base is fine, and one combination of the grid is not."""
+    path = tmp_path / "grid.toml"
+    text = experiment.find("stadium").read_text()
+    grid = '[study.grid]\n"optimizer.kind" = ["nnga", "cmaes"]\n"representation.kind" = '
+    path.write_text(text + grid + '["fully-meshed", "neat"]\n')
+    with pytest.raises(ConfigError, match=r"study: with .*cmaes.*neat: "):
+        check(str(path))
+    path.write_text(text + grid + '["fully-meshed", "feed-forward"]\n')
+    shown = check(str(path))
+    for name in ("kind nnga", "representation.hidden", "in all", "is not used, but"):
+        assert name in " ".join(shown.split()), name
+    assert len(json.loads(check(str(path), "--json"))["settings"]) == 4

@@ -138,7 +138,7 @@ def test_an_optimizer_that_cannot_receive_recorded_vectors_is_refused() -> None:
     told = evolve(old, 3)
     with pytest.raises(
         ConfigError,
-        match="generation 0 was recorded with 6 candidates, and this program proposes 7: resume",
+        match="generation 1 was recorded with 6 candidates, and this program proposes 7: resume",
     ):
         restored(old, told, candidates=7)
     with pytest.raises(

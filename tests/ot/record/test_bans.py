@@ -80,7 +80,7 @@ def test_a_damaged_event_is_named_and_the_run_can_go_back(banned: Path, sql: str
     spoil(banned, sql)
     how = "missing" if sql.startswith("DELETE") else "not what was written"
     line = (
-        f"generation 2: event {number} is {how}; zswarm-ot resume .* --from 2 evaluates"
+        f"generation 3: event {number} is {how}; zswarm-ot resume .* --from 3 evaluates"
     )
     with pytest.raises(ConfigError, match=line):
         Record.open(banned)

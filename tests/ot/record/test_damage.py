@@ -151,7 +151,7 @@ def try_damages(runs: Runs, to: Path, count: int, seed: int) -> dict[str, int]:
 def back(runs: Runs, folder: Path, said: str, how: str) -> str:
     """Go back as a refusal says; return ``back``, or ``refused`` if too much is damaged."""
     try:
-        go_back(folder, int(said.partition("--from ")[2].split()[0]))
+        go_back(folder, int(said.partition("--from ")[2].split()[0]) - 1)
     except ConfigError:
         return "refused"
     assert check(runs, folder, f"{how}, gone back") == "right", how
@@ -197,12 +197,12 @@ def test_a_difference_names_the_generation_and_the_way_back(
             "UPDATE candidates SET fitness = fitness + 1 WHERE (generation, candidate) = (2, 1)"
         )
     line = (
-        f"{folder}/run.sqlite: damaged: generation 2: its candidates, their fitness or measures "
-        f"are not what was written; zswarm-ot resume {folder} --from 2 evaluates again from there"
+        f"{folder}/run.sqlite: damaged: generation 3: its candidates, their fitness or measures "
+        f"are not what was written; zswarm-ot resume {folder} --from 3 evaluates again from there"
     )
     for read in (lambda: Run(folder).candidates(2), lambda: resumed(folder)):
         with pytest.raises(ConfigError) as caught:
             read()
         assert str(caught.value) == line
-    with pytest.raises(ConfigError, match="damaged: generation 2: "):
+    with pytest.raises(ConfigError, match="damaged: generation 3: "):
         finished_result(folder, load_experiment(folder))

@@ -35,12 +35,12 @@ def test_a_run_of_one_version_has_no_mark() -> None:
 def test_the_mark_names_generations_and_versions_that_differ() -> None:
     old, new = epoch(0), epoch(13, "b", Python="3.12.1")
     assert mark([old, epoch(4), new], 20) == (
-        "computed by 2 versions: generations 0-12 by aaaaaaaa (Python 3.11.7), "
-        "13-19 by bbbbbbbb (Python 3.12.1)"
+        "computed by 2 versions: generations 1-13 by aaaaaaaa (Python 3.11.7), "
+        "14-20 by bbbbbbbb (Python 3.12.1)"
     )
     assert mark([old, epoch(2, "b"), epoch(3)], 4) == (
-        "computed by 2 versions: generations 0-1 by aaaaaaaa, 2-2 by bbbbbbbb, "
-        "3-3 by aaaaaaaa"
+        "computed by 2 versions: generations 1-2 by aaaaaaaa, 3-3 by bbbbbbbb, "
+        "4-4 by aaaaaaaa"
     )
 
 
@@ -48,7 +48,7 @@ def test_generations_that_a_run_went_back_from_do_not_count() -> None:
     found = [epoch(0), epoch(10, "b")]
     assert mark(found, 5) == ""
     assert mark([*found, epoch(5, "c")], 9) == (
-        "computed by 2 versions: generations 0-4 by aaaaaaaa, 5-8 by cccccccc"
+        "computed by 2 versions: generations 1-5 by aaaaaaaa, 6-9 by cccccccc"
     )
 
 
@@ -92,7 +92,7 @@ def test_a_run_that_is_resumed_by_another_version_is_marked(
         versions = now.versions | {"Python": "3.10.1"}
         return msgspec.structs.replace(now, version_hash="0" * 32, versions=versions)
 
-    heard, (first, second) = Heard(), ("0-1 by 00000000 (Python 3.10.1)", "2-3 by ")
+    heard, (first, second) = Heard(), ("1-2 by 00000000 (Python 3.10.1)", "3-4 by ")
     with zswarm.connect(local_slots=1) as connection:
         with monkeypatch.context() as patched:
             patched.setattr(run, "here", older)
@@ -104,7 +104,7 @@ def test_a_run_that_is_resumed_by_another_version_is_marked(
             resumed.finish()
     (line,) = [line for line in heard.lines if "was changed" in line]
     assert heard.lines.index(line) == 0, "it is said before anything is computed"
-    assert "before generation 2: Python 3." in line
+    assert "before generation 3: Python 3." in line
     assert "here, 3.10.1 there" in line
     one, other = epochs.epochs(resumed.run)
     assert (one.generation, other.generation) == (0, 2)

@@ -94,7 +94,7 @@ def test_a_genome_that_was_not_kept_is_named_with_those_that_were(tmp_path: Path
     there = kept(folder)[1]
     missing = next(at for at in range(8) if at not in there)
     assert controller(folder, 1).genome
-    words = rf"genome of candidate {missing} in generation 1 was not kept \(\[record\] genomes\)"
+    words = rf"genome of candidate {missing} in generation 2 was not kept \(\[record\] genomes\)"
     with pytest.raises(ConfigError, match=words):
         controller(folder, 1, missing)
 

@@ -149,9 +149,9 @@ def test_the_command_writes_the_requested_format(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for kind in ("gif", "html", "csv"):
-        said = typed(str(folder), "--to", kind, "--generation", "0", "--candidate", "2")
+        said = typed(str(folder), "--to", kind, "--generation", "1", "--candidate", "2")
         assert said.output.startswith(
-            f"minisim.{kind}: minisim, generation 0, candidate 2, trial 0, fitness "
+            f"minisim.{kind}: minisim, generation 1, candidate 2, trial 0, fitness "
         )
     assert sorted(os.listdir()) == ["minisim.csv", "minisim.gif", "minisim.html"]
     said = typed(str(folder), "--to", "html", "-o", "x.html", "--json")

@@ -174,11 +174,11 @@ def test_a_run_of_other_code_is_played_where_the_bits_agree_and_else_refused(
 @pytest.mark.parametrize(
     ("numbers", "text"),
     [
-        ((7, None, 0), "no generation 7; it has generations 0 to 1"),
-        ((-1, None, 0), "no generation -1; it has generations 0 to 1"),
-        ((0, 4, 0), "no candidate 4 in generation 0; it has candidates 0 to 3"),
-        ((1, 0, 2), "no trial 2 of candidate 0 in generation 1; it has trials 0 to 1"),
-        ((1, 0, -1), "no trial -1 of candidate 0 in generation 1; it has trials 0 to 1"),
+        ((7, None, 0), "no generation 8; it has generations 1 to 2"),
+        ((-1, None, 0), "no generation 0; it has generations 1 to 2"),
+        ((0, 4, 0), "no candidate 4 in generation 1; it has candidates 0 to 3"),
+        ((1, 0, 2), "no trial 2 of candidate 0 in generation 2; it has trials 0 to 1"),
+        ((1, 0, -1), "no trial -1 of candidate 0 in generation 2; it has trials 0 to 1"),
     ],
 )
 def test_a_nonexistent_trial_is_refused_with_the_existing_ones(
@@ -210,7 +210,7 @@ def test_a_recorded_game_is_replayed_with_its_players(tmp_path: Path) -> None:
     assert (found.about["players"], found.note, len(found.fitness)) == ([3, 0], "", 2)
     with pytest.raises(
         ConfigError,
-        match="no trial 2 of candidate 0 in generation 0; it has trials 0 to 1",
+        match="no trial 2 of candidate 0 in generation 1; it has trials 0 to 1",
     ):
         trace(Run(folder), 0, 0, 2)
 

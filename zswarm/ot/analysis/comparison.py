@@ -15,11 +15,13 @@ import numpy as np
 from zswarm.errors import ConfigError
 from zswarm.ot.analysis import curves
 from zswarm.ot.analysis.curves import Groups, Series
+from zswarm.ot.analysis.effect_size import a12_interval
 from zswarm.system.extras import need
 from zswarm.system.format import plural
 
 By = Literal["generations", "evaluations"]
 LEVEL = 0.05  # of significance
+SEARCH = "best fitness in search"
 PERMUTATIONS = 15_000  # at most, if ties forbid the exact distribution
 MAX_PAIRS = 1000
 EXACT = 100  # runs of a group up to which the exact distribution is computed
@@ -59,6 +61,17 @@ class Pair(NamedTuple):
     p_holm: float  # corrected for the number of pairs
     a12: float  # probability that a run of the first beats one of the second, ties count half
     method: str  # exact, permutation or asymptotic
+    a12_low: float = 0.0  # 95 % interval
+    a12_high: float = 1.0
+
+    @property
+    def delta(self) -> float:
+        """Cliff's delta."""
+        return 2 * self.a12 - 1
+
+    def as_object(self) -> dict[str, Any]:
+        """Return what is reported to programs."""
+        return {**self._asdict(), "delta": self.delta, "effect": effect(self.a12)}
 
 
 class Comparison(NamedTuple):
@@ -72,6 +85,7 @@ class Comparison(NamedTuple):
     kruskal_p: float | None
     untested: str  # why there is no test, or ""
     notes: list[str]  # for the reader of the numbers
+    of: str = SEARCH  # what is compared
 
 
 class _Sample(NamedTuple):
@@ -105,6 +119,32 @@ def of_series(groups: Groups, by: By, notes: Sequence[str] = ()) -> Comparison:
     )
     notes = [*notes, *_notes(samples, rows, by, ends)]
     return Comparison(by, at, rows, pairs, kruskal_p, untested, notes)
+
+
+def of_values(
+    values: Mapping[str, np.ndarray],
+    groups: Groups,
+    of: str,
+    notes: Sequence[str] = (),
+) -> Comparison:
+    """Compare groups by one number of each run, at the ends of the runs.
+
+    Args:
+        values: by group, (runs,) float64, higher is better.
+        groups: with the same names, for the effort.
+        of: what the numbers are.
+    """
+    samples = {}
+    for group, numbers in values.items():
+        ends = [(run.evaluations[-1], run.seconds[-1]) for run in groups[group]]
+        evaluations, seconds = np.array(ends, np.float64).reshape(-1, 2).T
+        samples[group] = _Sample(numbers, evaluations, seconds)
+    rows = [_row(group, sample, groups[group]) for group, sample in samples.items()]
+    pairs, kruskal_p, untested = _test(values)
+    at = float(max(len(run.best) for runs in groups.values() for run in runs))
+    return Comparison(
+        "generations", at, rows, pairs, kruskal_p, untested, list(notes), of
+    )
 
 
 def effect(a12: float) -> str:
@@ -240,7 +280,9 @@ def _mann_whitney(
     a, b = ranks[: len(a)], ranks[len(a) :]
     distinct = len(np.unique(ranks))
     if distinct == 1:
-        return Pair(first, second, len(a) * len(b) / 2, 1.0, 1.0, 0.5, "exact")
+        half = len(a) * len(b) / 2
+        interval = a12_interval(0.5, len(a), len(b))
+        return Pair(first, second, half, 1.0, 1.0, 0.5, "exact", *interval)
     name = method = "asymptotic"
     if distinct == len(ranks) and max(len(a), len(b)) <= EXACT:
         name = method = "exact"
@@ -248,9 +290,9 @@ def _mann_whitney(
         name, method = "permutation", stats.PermutationMethod(n_resamples=PERMUTATIONS)
     result = stats.mannwhitneyu(a, b, alternative="two-sided", method=method)
     u = float(result.statistic)
-    return Pair(
-        first, second, u, min(1.0, float(result.pvalue)), 1.0, u / (len(a) * len(b)), name
-    )
+    a12, p = u / (len(a) * len(b)), min(1.0, float(result.pvalue))
+    interval = a12_interval(a12, len(a), len(b))
+    return Pair(first, second, u, p, 1.0, a12, name, *interval)
 
 
 def _kruskal(stats: Any, samples: Sequence[np.ndarray]) -> float:

@@ -18,7 +18,10 @@ POINTS = 1000  # of a drawn curve: more than a printed one shows
 
 
 class Series(NamedTuple):
-    """A run's numbers after each finished generation, (generations,) float64."""
+    """A run's numbers after each finished generation, (generations,) float64.
+
+    Fitness is the mean of a candidate's trials; the record has the sum.
+    """
 
     best: np.ndarray  # of the run so far; -inf if every candidate failed
     mean: np.ndarray  # of the generation; NaN if every candidate failed
@@ -54,6 +57,8 @@ def series(run: "Run") -> Series:
             [missing if row[key] is None else row[key] for row in history], np.float64
         )
 
+    # A score is one number for all of a candidate's games.
+    trials = 1 if run.relative else run.experiment.problem.trials
     best = column("best", -np.inf)
     best = np.where(np.isfinite(best), best, -np.inf)
     # Negative where the clock was set back.
@@ -64,10 +69,10 @@ def series(run: "Run") -> Series:
         low, high = (
             found.mean if end is None else end for end in (found.low, found.high)
         )
-        held_out = found.mean, low, high
+        held_out = found.mean / trials, low / trials, high / trials
     return Series(
-        best,
-        column("mean", np.nan),
+        best / trials,
+        column("mean", np.nan) / trials,
         evaluations,
         np.cumsum(seconds),
         held_out,

@@ -4,8 +4,9 @@ Colours: Okabe and Ito, "Color Universal Design" (2008), without yellow; each gr
 style, too.
 """
 
+import contextlib
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -44,6 +45,7 @@ class FigureStyle(NamedTuple):
     height: float
     font: float  # points
     line: float  # points
+    file: str = ""  # a style of matplotlib's, which comes after ours
 
 
 Size = Literal["column", "page", "slides", "screen"]
@@ -82,6 +84,17 @@ def draw(plot: Plot, style: FigureStyle) -> "Figure":
     Raises:
         ConfigError: no curve reaches ``lowest``, or matplotlib is missing.
     """
+    with styled(style):
+        return _draw(plot._replace(lines=[_drawable(line) for line in plot.lines]), style)
+
+
+@contextlib.contextmanager
+def styled(style: FigureStyle) -> Iterator[None]:
+    """Draw with our settings, and those of the user's file.
+
+    Raises:
+        ConfigError: the file is no style, or matplotlib is missing.
+    """
     settings = {
         "font.family": FONT,
         "font.size": style.font,
@@ -92,22 +105,37 @@ def draw(plot: Plot, style: FigureStyle) -> "Figure":
         "axes.spines.right": False,
     }
     styles = need("matplotlib.style", "plot", "plot")
-    with LOCK, styles.context(["default", settings]):
-        return _draw(plot._replace(lines=[_drawable(line) for line in plot.lines]), style)
+    with LOCK, contextlib.ExitStack() as context:
+        context.enter_context(styles.context(["default", settings]))
+        if style.file:
+            try:
+                context.enter_context(styles.context(style.file))
+            except OSError as error:
+                why = str(error).partition("\n")[0]
+                raise ConfigError(
+                    f"--style {style.file}: no style: {clean(why)}"
+                ) from None
+        yield
+
+
+def axes_of(style: FigureStyle) -> tuple["Figure", Any]:
+    """Return an empty figure and its axes; within ``styled``."""
+    figures = need("matplotlib.figure", "plot", "plot")
+    need("matplotlib.backends.backend_agg", "plot", "plot")
+    figure: Figure = figures.Figure((style.width, style.height))
+    figure.set_layout_engine("constrained", w_pad=0.02, h_pad=0.02)  # inches
+    axes = figure.add_subplot()
+    _frame(axes, style)
+    return figure, axes
 
 
 def _draw(plot: Plot, style: FigureStyle) -> "Figure":
-    figures = need("matplotlib.figure", "plot", "plot")
-    need("matplotlib.backends.backend_agg", "plot", "plot")
     lines, room = plot.lines, style.width * POINT
     labels = [_fitting(line.label, style.font, 0.8 * room) for line in lines]
     columns = _columns(labels, style)
     # A high legend does not squeeze the axes.
     more = max(0, -(-len(lines) // columns) - 2) * 1.4 * style.font / POINT
-    figure: Figure = figures.Figure((style.width, style.height + more))
-    figure.set_layout_engine("constrained", w_pad=0.02, h_pad=0.02)  # inches
-    axes = figure.add_subplot()
-    _frame(axes, style)
+    figure, axes = axes_of(style._replace(height=style.height + more))
     scale, unit = _time_unit(lines) if plot.axis == "time" else (1.0, "")
     lines = [line._replace(x=line.x / scale) for line in lines]
     handles = []
@@ -192,8 +220,7 @@ def _frame(axes: Any, style: FigureStyle) -> None:
         width=style.line / 2,
         color="black",
         labelcolor="black",
-        labelsize=style.font,
-        labelfontfamily=FONT,
+        **({} if style.file else {"labelsize": style.font, "labelfontfamily": FONT}),
         top=False,
         right=False,
     )

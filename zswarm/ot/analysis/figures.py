@@ -28,6 +28,7 @@ FORMATS = ("pdf", "svg", "png")
 PICTURE = "fitness.png"  # in a run's folder
 BAND = 3  # runs from which on quartiles are drawn
 DPI = 300
+EACH = "mean of a trial"
 
 
 def of_series(
@@ -36,11 +37,16 @@ def of_series(
     size: Size = "column",
     title: str = "",
     lowest: float | None = None,
+    style: str = "",
+    *,
+    noted: bool = True,
 ) -> "Figure":
     """Draw learning curves: of one run best and mean, of repeats median and quartiles of the best.
 
     Args:
         lowest: fitness at the bottom of the vertical axis; None: all are shown.
+        style: a file of matplotlib's settings, or the name of a style.
+        noted: write below what the bands are, and the result of the test.
 
     Raises:
         ConfigError: no run finished a generation, there are too many groups, none reaches
@@ -58,13 +64,15 @@ def of_series(
     drawn = curves.curves(groups, axis)
     runs = [run for members in groups.values() for run in members if len(run.best)]
     if len(runs) == 1:
-        lines, note, height = _of_one(runs[0], drawn[0], axis), "", "fitness"
+        lines, note, height = _of_one(runs[0], drawn[0], axis), "", f"fitness, {EACH}"
     else:
         lines = [_line(curve, alone=len(drawn) == 1) for curve in drawn]
-        note, height = _note(groups, drawn, axis), "best fitness"
+        note = _note(groups, drawn, axis) if noted else ""
+        height = f"best fitness, {EACH}"
     if any(run.relative for run in runs):
         height = "score in its generation"
-    return drawing.draw(Plot(lines, axis, height, title, note, lowest), SIZES[size])
+    chosen = SIZES[size]._replace(file=style)
+    return drawing.draw(Plot(lines, axis, height, title, note, lowest), chosen)
 
 
 def save(figure: "Figure", path: Path) -> None:

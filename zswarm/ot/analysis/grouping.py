@@ -6,8 +6,10 @@ from typing import Any
 
 import msgspec
 
+from zswarm.errors import ConfigError
 from zswarm.experiment import PARTS, Experiment
 from zswarm.ot.record.reader import Run
+from zswarm.system.text import clean
 
 IN_LABEL = 3  # settings; if more differ, groups have the experiments' names
 KIND_OF = {"problem.settings": "problem.simulator", **{part: part for part in PARTS}}
@@ -23,15 +25,16 @@ def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
     together: dict[str, list[Run]] = {}
     settings: dict[str, dict[str, Any]] = {}
     for run in runs:
-        flat = _flat(run.experiment)
-        key = json.dumps(flat, sort_keys=True)
+        values = flat(run.experiment)
+        key = json.dumps(values, sort_keys=True)
         together.setdefault(key, []).append(run)
-        settings[key] = flat
+        settings[key] = values
     differing = _differing(list(settings.values()))
     short = len(together) > 1 and len(differing) <= IN_LABEL
     named: dict[str, list[Run]] = {}
     for key, members in together.items():
-        labels = [
+        chosen = {run.experiment.label for run in members} - {""}
+        labels = sorted(chosen)[:1] or [
             _label(name, settings[key][name], differing)
             for name in differing
             if short and name in settings[key]
@@ -45,7 +48,28 @@ def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
     return named
 
 
-def _flat(complete: Experiment) -> dict[str, Any]:
+def renamed(found: dict[str, list[Run]], labels: Sequence[str]) -> dict[str, list[Run]]:
+    """Return groups with other names.
+
+    Args:
+        labels: such as ``nnga=NNGA``; the order of the names is that of the groups.
+
+    Raises:
+        ConfigError: no such group, or two of one name.
+    """
+    chosen = dict(label.rpartition("=")[::2] for label in labels)
+    if unknown := sorted(set(chosen) - set(found)):
+        known = "; ".join(clean(group) for group in found)
+        raise ConfigError(
+            f"--label {clean(unknown[0])}: no such group; there are: {known}"
+        )
+    names = [clean(chosen.get(group, group)) for group in found]
+    if len(set(names)) < len(names):
+        raise ConfigError("--label: two groups would have the same name")
+    return dict(zip(names, found.values(), strict=True))
+
+
+def flat(complete: Experiment) -> dict[str, Any]:
     """Return the settings that repeats have in common, by their keys in an experiment file."""
     values = msgspec.to_builtins(complete)
     flat = {part: values[part]["kind"] for part in PARTS}

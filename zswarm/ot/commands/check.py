@@ -17,6 +17,7 @@ from zswarm.system.text import clean
 if TYPE_CHECKING:
     from zswarm.ot.cluster.discovery import Survey
     from zswarm.ot.estimate.dry_run import Explanation
+    from zswarm.ot.study.effort import Cell
 
 MENU = ("Begin", 2)
 
@@ -45,15 +46,20 @@ def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) 
     from zswarm.ot import build
     from zswarm.ot.cluster import matching
     from zswarm.ot.estimate import dry_run
+    from zswarm.ot.study import effort, effort_table
     from zswarm.ot.study.study import checked_plan
 
-    complete = options.complete(name, overrides, {})
-    if complete.study.runs() > 1:
-        checked_plan(complete, name, {})
+    loaded, complete = options.loaded_and_complete(name, overrides, {})
+    cells: list[Cell] = []
+    if complete.study.runs() > 1 or complete.study.varies():
+        _, cells = checked_plan(complete, name, {})
     explained = dry_run.explain(complete, build.build(complete))
+    explained.warnings.extend(effort.warnings(loaded, cells) if cells else ())
     survey = _survey(complete) if search else None
     if as_json:
         values: dict[str, Any] = msgspec.to_builtins(explained)
+        if cells:
+            values["settings"] = effort_table.as_objects(cells)
         if survey is not None:
             choice = matching.choice(complete.cluster)
             values["servers"] = [
@@ -69,6 +75,8 @@ def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) 
         return
     for about, text in lines(explained, complete):
         tables.entry(about, clean(text))
+    if cells:
+        _show_study(cells, complete, explained)
     if survey is not None:
         _show_servers(survey, complete)
     for warning in explained.warnings:
@@ -85,14 +93,26 @@ def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) 
     tables.line(f"{verdict}: {clean(shlex.join(run))}")
 
 
+def _show_study(cells: "list[Cell]", complete: Experiment, e: "Explanation") -> None:
+    """Print the settings of a study, and the work and time of all its runs."""
+    from zswarm.ot.study import effort_table
+
+    tables.line("")
+    effort_table.show(cells)
+    repeat = complete.study.repeat
+    simulations = repeat * sum(cell.effort.simulations for cell in cells)
+    here = duration(simulations * e.trial_s / e.slots)
+    tables.entry("in all", f"{effort_table.total(cells, repeat)}; about {here} here")
+
+
 def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
     """Yield what a line is about, and its text."""
     from zswarm.ot.estimate.dry_run import EXAMPLE_SERVERS, EXAMPLE_SLOTS
 
     if e.runs > 1:
-        settings = plural(len(complete.study.settings()), "setting")
+        settings = plural(complete.study.count(), "setting")
         repeats = f"{settings}, each run {complete.study.repeat} times: {e.runs:,} runs"
-        about = "All settings are possible; the rest is about one run, as the file has it"
+        about = "All settings are possible. First one run, as the file has it, then each setting"
         yield "study", f"{repeats}. {about}"
     yield (
         "experiment",

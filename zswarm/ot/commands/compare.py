@@ -10,7 +10,8 @@ from zswarm.ot.display import tables
 from zswarm.system.format import duration
 
 if TYPE_CHECKING:
-    from zswarm.ot.analysis.comparison import Comparison
+    from zswarm.ot.analysis.comparison import By, Comparison
+    from zswarm.ot.analysis.effect_size import Friedman
 
 MENU = ("Results", 8)
 PAIRS = 6  # pairs that are described in words
@@ -25,34 +26,93 @@ PAIRS = 6  # pairs that are described in words
     show_default=True,
     help="Compare runs after an equal number of these.",
 )
+@options.measure_option
+@options.label_option
 @options.csv_option
+@click.option(
+    "--latex", metavar="FILE", help="Also write tables for LaTeX (booktabs); - is stdout."
+)
 @options.json_option
-def command(paths: tuple[Path, ...], by: str, csv: str | None, as_json: bool) -> None:
+def command(
+    paths: tuple[Path, ...],
+    by: "By",
+    measure: str,
+    labels: tuple[str, ...],
+    csv: str | None,
+    latex: str | None,
+    as_json: bool,
+) -> None:
     """Compare runs: median and quartiles of each group, and whether a difference may be chance.
 
     Runs that differ only in their seed form a group. The tests are Mann-Whitney U with Holm's
-    correction, and Kruskal-Wallis.
-    """
-    from zswarm.ot.analysis import comparison, curves, grouping
-    from zswarm.ot.analysis import csv as spreadsheet
-    from zswarm.ot.record.run_index import runs_below
+    correction, and Kruskal-Wallis; over several problems, Friedman.
 
-    options.check_stdout(csv, as_json=as_json)
+    \b
+      zswarm-ot compare runs/study --by evaluations
+      zswarm-ot compare runs/study --measure held-out --latex table.tex
+      zswarm-ot compare runs/study --label "kind nnga=NNGA" --csv table.csv
+    """
+    from zswarm.ot.analysis import compared, grouping
+    from zswarm.ot.analysis import csv as spreadsheet
+    from zswarm.ot.analysis import latex as latex_tables
+    from zswarm.ot.record.run_index import runs_below
+    from zswarm.system.files import write_for_user
+
+    options.check_stdout("-" if "-" in (csv, latex) else None, as_json=as_json)
     skipped: list[str] = []
-    groups = grouping.groups(runs_below(paths, skipped))
-    loaded, notes = curves.load(groups)
-    found = comparison.of_series(loaded, by, notes)  # type: ignore[arg-type]  # click checked it
+    groups = grouping.renamed(grouping.groups(runs_below(paths, skipped)), labels)
+    found = compared.compare(groups, by, measure)
+    ranked = compared.over_problems(groups, found)
     for note in skipped:
         tables.line(note, stderr=True)
     if csv:
-        spreadsheet.save(csv, comparison.Row._fields, found.rows)
+        spreadsheet.save(csv, *_cells(found))
+    if latex == "-":
+        click.echo(latex_tables.tables(found), nl=False)
+    elif latex:
+        write_for_user(Path(latex), latex_tables.tables(found).encode())
     if as_json:
-        rows, pairs = (
-            [one._asdict() for one in some] for some in (found.rows, found.pairs)
-        )
-        tables.print_json({**found._asdict(), "rows": rows, "pairs": pairs})
-    elif csv != "-":
+        rows = [one._asdict() for one in found.rows]
+        values = {
+            **found._asdict(),
+            "rows": rows,
+            "pairs": [p.as_object() for p in found.pairs],
+        }
+        values["friedman"] = None if ranked is None else ranked._asdict()
+        tables.print_json(values)
+    elif "-" not in (csv, latex):
         show(found)
+        if ranked is not None:
+            _show_ranks(ranked)
+
+
+def _cells(found: "Comparison") -> tuple[list[str], list[list[object]]]:
+    """Return the rows of a CSV file: one for each group, then one for each pair."""
+    from zswarm.ot.analysis.comparison import Pair, Row, effect
+
+    tests = [*Pair._fields[2:], "delta", "effect"]
+    header = ["what", *Row._fields, "second", *tests]
+    rows: list[list[object]] = [["group", *row] for row in found.rows]
+    for row in rows:
+        row += [None] * (len(header) - len(row))
+    blank = [None] * (len(Row._fields) - 1)
+    for pair in found.pairs:
+        cells: list[object] = ["pair", pair.first, *blank, pair.second]
+        rows.append([*cells, *pair[2:], pair.delta, effect(pair.a12)])
+    return header, rows
+
+
+def _show_ranks(ranked: "Friedman") -> None:
+    from zswarm.ot.analysis import comparison
+
+    table = tables.table("method", ">mean rank")
+    for name, rank in sorted(ranked.ranks.items(), key=lambda item: item[1]):
+        tables.row(table, name, f"{rank:.2f}")
+    tables.show(table)
+    tables.paragraph(
+        f"Friedman over {ranked.problems} problems: {comparison.p_value(ranked.p)}; each problem "
+        "ranks the methods by their medians, 1 is the best."
+    )
 
 
 def show(found: "Comparison") -> None:
@@ -80,8 +140,14 @@ def show(found: "Comparison") -> None:
     for note in found.notes:
         tables.paragraph(note)
     unit = found.by if found.at != 1 else found.by.removesuffix("s")
+    what = f"Compared: {found.of}; higher is better. "
+    if found.of == comparison.SEARCH:
+        what = (
+            f"Fitness is the best of each run in search after {found.at:.0f} {unit}, as the mean "
+            "of a candidate's trials; higher is better. "
+        )
     tables.paragraph(
-        f"Fitness is the best of each run in search after {found.at:.0f} {unit}; higher is better. "
+        f"{what}"
         "Half of a group's runs are above the median, and half lie between the quartiles. Held-out "
         "is what the champions of finished runs do on seeds that search did not use; it, "
         "evaluations and time are the medians of its runs."
@@ -104,10 +170,11 @@ def show(found: "Comparison") -> None:
 def _show_pairs(found: "Comparison") -> None:
     from zswarm.ot.analysis import comparison
 
-    table = tables.table("first", "second", ">U", ">p", ">p (Holm)", ">A12")
+    table = tables.table("first", "second", ">U", ">p", ">p (Holm)", ">A12", ">95 %")
     for pair in found.pairs:
         numbers = (f"{pair.u:.6g}", _p(pair.p), _p(pair.p_holm), f"{pair.a12:.2f}")
-        tables.row(table, pair.first, pair.second, *numbers)
+        interval = f"{pair.a12_low:.2f} to {pair.a12_high:.2f}"
+        tables.row(table, pair.first, pair.second, *numbers, interval)
     tables.show(table)
     methods = ", ".join(sorted({pair.method for pair in found.pairs}))
     tables.paragraph(

@@ -1,22 +1,33 @@
 """``zswarm-ot evaluate``: play a champion on seeds that it was not evolved on."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
 
 from zswarm import experiment
+from zswarm.errors import ConfigError
 from zswarm.ot.commands.shared import options, suggestions
 from zswarm.ot.display import tables
 from zswarm.system.format import plural
 from zswarm.system.text import clean
+
+if TYPE_CHECKING:
+    from zswarm.controller import Controller
+    from zswarm.ot.replay.held_out import HeldOutResult
 
 MENU = ("Results", 3)
 LABEL = 16  # columns
 
 
 @click.command("evaluate")
-@options.champion_argument
+@click.argument(
+    "path",
+    type=options.PATH,
+    metavar="RUN|STUDY|CHAMPION.zsc",
+    shell_complete=suggestions.runs,
+)
 @click.option(
     "--trials",
     type=options.TRIALS,
@@ -37,6 +48,8 @@ LABEL = 16  # columns
     help="The opponent in a game of several participants.  [default: the champion itself]",
 )
 @options.set_option_of("problem", "problem.settings.agents=20")
+@options.csv_option
+@options.cluster_options
 @options.json_option
 def command(
     path: Path,
@@ -44,20 +57,34 @@ def command(
     seed: int | None,
     against: Path | None,
     overrides: tuple[str, ...],
+    csv: str | None,
     as_json: bool,
+    **cluster: Any,
 ) -> None:
-    """Play a run's champion on held-out seeds.
+    """Play a run's champion on held-out seeds, or the champions of all runs of a study.
 
     Shows how good it is on trials that it was not evolved on: that is what counts. In a game it
     plays another champion, from each side in turn.
+
+    The champions of a study play the same seeds, on this machine and on servers. What they did is
+    kept in the runs' folders; compare and plot use it: --measure fitness, or a metric.
 
     \b
       zswarm-ot evaluate runs/stadium
       zswarm-ot evaluate champion.zsc --trials 1000
       zswarm-ot evaluate runs/minisim --set problem.settings.robots=20
       zswarm-ot evaluate runs/minisim-duel --against runs/minisim-duel-2
+      zswarm-ot evaluate runs/study --trials 200
     """
     from zswarm.controller import load_controller
+    from zswarm.ot.study.study import is_study
+
+    options.check_stdout(csv, as_json=as_json)
+    if path.is_dir() and is_study(path):
+        if against or overrides:
+            raise ConfigError("--against and --set are for the champion of one run")
+        _study(path, trials, seed or 0, cluster, csv, as_json=as_json)
+        return
     from zswarm.ot.replay import held_out
 
     loaded = [load_controller(each) for each in (path, against) if each is not None]
@@ -73,10 +100,31 @@ def command(
     controller, opponent = controllers[0], controllers[1] if against is not None else None
     played = held_out.play(controller, trials, seed or 0, opponent)
     fitness, metrics = played.fitness_summary(), played.metric_means()
+    if csv:
+        _save(csv, played)
     game = played.score() if played.results.shape[1] > 1 else {}
     if as_json:
         tables.print_json({"trials": trials, **fitness, **game, "metrics": metrics})
         return
+    if csv != "-":
+        _show(played, controller, opponent)
+
+
+def _save(csv: str, played: "HeldOutResult") -> None:
+    """Write a row for each trial."""
+    from zswarm.ot.analysis import csv as spreadsheet
+
+    columns = zip(played.fitness.tolist(), *played.metrics.T.tolist(), strict=True)
+    rows = [[trial, *row] for trial, row in enumerate(columns)]
+    spreadsheet.save(csv, ["trial", "fitness", *played.metric_names], rows)
+
+
+def _show(
+    played: "HeldOutResult", controller: "Controller", opponent: "Controller | None"
+) -> None:
+    """Print what a champion did."""
+    fitness, trials = played.fitness_summary(), len(played.fitness)
+    game = played.score() if played.results.shape[1] > 1 else {}
     same = played.all_the_same()
     tables.paragraph(
         f"{clean(controller.simulator)}, champion of {clean(controller.run)} (fitness "
@@ -90,5 +138,59 @@ def command(
         tables.line(f"{'against':{LABEL}}{name}: {counts}")
     quartiles = " / ".join(f"{fitness[key]:.6g}" for key in ("q25", "median", "q75"))
     tables.line(f"{'fitness':{LABEL}}mean {fitness['mean']:.6g}, quartiles {quartiles}")
-    for name, mean in metrics.items():
+    for name, mean in played.metric_means().items():
         tables.line(f"{name:{LABEL}}mean {mean:.6g}")
+
+
+def _study(
+    folder: Path,
+    trials: int,
+    seed: int,
+    cluster: dict[str, Any],
+    csv: str | None,
+    *,
+    as_json: bool,
+) -> None:
+    """Evaluate the champions of a study, and print a row for each of its settings."""
+    from zswarm.ot.analysis import csv as spreadsheet
+    from zswarm.ot.analysis import grouping, measure
+    from zswarm.ot.cluster.connection import Connection
+    from zswarm.ot.record.run_index import runs_below
+    from zswarm.ot.study import evaluating
+    from zswarm.ot.study.study import load_study
+
+    complete = options.with_cluster(load_study(folder), cluster)
+    groups = grouping.groups(runs_below([folder]))
+    with Connection(complete.cluster) as connection:
+        done = evaluating.evaluate(
+            groups, connection, trials, seed, lambda line: tables.line(line, stderr=True)
+        )
+    loaded = {
+        group: [(run, measure.load(run)) for run in runs] for group, runs in done.items()
+    }
+    summaries = [evaluating.summary(group, found) for group, found in loaded.items()]
+    if csv:
+        spreadsheet.save(csv, *evaluating.rows(loaded))
+    if as_json:
+        tables.print_json({"trials": trials, "seed": seed, "settings": summaries})
+    elif csv != "-":
+        names = list(summaries[0]["metrics"])
+        columns = [">runs", ">median", ">quartiles", *(f">{name}" for name in names)]
+        table = tables.table("setting", *columns)
+        for one in summaries:
+            quartiles = f"{one['q25']:.4g} / {one['q75']:.4g}"
+            metrics = [f"{one['metrics'].get(name, float('nan')):.4g}" for name in names]
+            cells = (
+                one["setting"],
+                one["runs"],
+                f"{one['median']:.4g}",
+                quartiles,
+                *metrics,
+            )
+            tables.row(table, *cells)
+        tables.show(table)
+        tables.paragraph(
+            f"Each champion played {plural(trials, 'held-out trial')}, all of them the same. The "
+            "numbers are medians and quartiles of the runs' means of a trial."
+        )
+        tables.line(f"next    zswarm-ot compare {folder} --measure {measure.FITNESS}")

@@ -22,9 +22,9 @@ MENU = ("Results", 5)
     shell_complete=suggestions.targets,
     help="What to write: one of the targets listed above.",
 )
-@options.number_option(
+@options.generation_option(
     "--generation",
-    help="A candidate of this generation, from 0, instead of the champion.",
+    help="A candidate of this generation, from 1, instead of the champion.",
 )
 @options.candidate_option
 @click.option(
@@ -70,7 +70,7 @@ def command(
     \b
       zswarm-ot export runs/stadium --to python
       zswarm-ot export runs/stadium --to c99 --out firmware/
-      zswarm-ot export runs/stadium --to json --generation 0 --candidate 3
+      zswarm-ot export runs/stadium --to json --generation 1 --candidate 3
       zswarm-ot export runs/turtlebot-exit --to ros1 --profile turtlebot2
     """
     from zswarm.kernels.jit import interpreted

@@ -6,13 +6,17 @@ from typing import TYPE_CHECKING
 import click
 
 from zswarm.ot.commands.shared import options
+from zswarm.ot.commands.shared.options import SEARCH
 from zswarm.ot.display import tables
 from zswarm.system.format import plural
 from zswarm.system.text import clean
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from zswarm.ot.analysis.curves import Axis
-    from zswarm.ot.analysis.drawing import Size
+    from zswarm.ot.analysis.drawing import FigureStyle, Size
+    from zswarm.ot.record.reader import Run
 
 MENU = ("Results", 7)
 
@@ -47,6 +51,28 @@ MENU = ("Results", 7)
     metavar="VALUE",
     help="Lowest fitness on the vertical axis.  [default: the lowest there is]",
 )
+@click.option(
+    "--as",
+    "shape",
+    type=click.Choice(["curves", "box", "violin", "archive"]),
+    default="curves",
+    show_default=True,
+    help="curves of learning; one number of each run as boxes or violins; the archive of a run "
+    "of map-elites.",
+)
+@options.measure_option
+@options.label_option
+@click.option(
+    "--style",
+    metavar="FILE",
+    help="A style of matplotlib: a file with settings such as font.family, or a name.",
+)
+@click.option(
+    "--note/--no-note",
+    "noted",
+    default=True,
+    help="Write below the curves what bands are, and the test's result.  [default: note]",
+)
 @options.json_option
 def command(
     paths: tuple[Path, ...],
@@ -56,6 +82,11 @@ def command(
     size: "Size",
     title: str,
     lowest: float | None,
+    shape: str,
+    measure: str,
+    labels: tuple[str, ...],
+    style: str | None,
+    noted: bool,
     as_json: bool,
 ) -> None:
     """Draw the learning curves of runs.
@@ -63,9 +94,15 @@ def command(
     Of one run: its best and mean fitness. Of repeated runs: the median of their best and, for three
     or more, a band from the lower to the upper quartile. Of runs with different experiments or
     settings: a line and a band for each, and a test between them.
+
+    \b
+      zswarm-ot plot runs/study --x evaluations
+      zswarm-ot plot runs/study --as violin --measure held-out
+      zswarm-ot plot runs/minisim-elites --as archive
     """
     from zswarm.ot.analysis import csv as spreadsheet
     from zswarm.ot.analysis import curves, figures, grouping
+    from zswarm.ot.analysis.drawing import SIZES
     from zswarm.ot.record.run_index import runs_below
 
     options.check_stdout(csv, as_json=as_json)
@@ -73,18 +110,53 @@ def command(
     output = output or Path(f"{name}.pdf")
     figures.format_of(output)
     skipped: list[str] = []
-    groups = grouping.groups(runs_below(paths, skipped))
+    figures.plain_style()
+    groups = grouping.renamed(grouping.groups(runs_below(paths, skipped)), labels)
+    if shape != "curves" or measure != SEARCH:
+        shape = "box" if shape == "curves" else shape
+        figure = _figure(
+            groups, shape, measure, SIZES[size]._replace(file=style or ""), title
+        )
+        figures.save(figure, output)
+        drawn = {group: len(members) for group, members in groups.items()}
+        _report(output, drawn, as_json=as_json, stderr=csv == "-")
+        return
     loaded, notes = curves.load(groups)
     for note in [*skipped, *notes, *curves.cut(loaded, axis)]:
         tables.line(note, stderr=True)
     if csv:
         spreadsheet.save(csv, *figures.table(loaded, axis))
-    figures.plain_style()
-    figures.save(figures.of_series(loaded, axis, size, title, lowest), output)
+    figure = figures.of_series(
+        loaded, axis, size, title, lowest, style or "", noted=noted
+    )
+    figures.save(figure, output)
     runs = {group: len(found) for group, found in loaded.items()}
+    _report(output, runs, as_json=as_json, stderr=csv == "-")
+
+
+def _figure(
+    groups: "dict[str, list[Run]]",
+    shape: str,
+    measure: str,
+    style: "FigureStyle",
+    title: str,
+) -> "Figure":
+    """Draw one number of each run, or an archive."""
+    from zswarm.ot.analysis import archive, boxes, compared
+
+    if shape == "archive":
+        runs = [run for members in groups.values() for run in members]
+        return archive.draw(archive.of_runs(runs), style, title)
+    values, height = compared.numbers(groups, measure)
+    return boxes.draw(
+        values, height, "violin" if shape == "violin" else "box", style, title
+    )
+
+
+def _report(output: Path, runs: dict[str, int], *, as_json: bool, stderr: bool) -> None:
     if as_json:
         counts = [{"group": group, "runs": count} for group, count in runs.items()]
         tables.print_json({"figure": str(output), "groups": counts})
         return
     drawn = f"{plural(sum(runs.values()), 'run')} in {plural(len(runs), 'group')}"
-    tables.line(f"{clean(str(output))}: {drawn}", stderr=csv == "-")
+    tables.line(f"{clean(str(output))}: {drawn}", stderr=stderr)

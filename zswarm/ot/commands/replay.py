@@ -20,9 +20,9 @@ FORMATS = {".gif": "gif", ".html": "html", ".htm": "html", ".csv": "csv"}
 
 @click.command("replay")
 @click.argument("path", type=options.PATH, metavar="RUN", shell_complete=suggestions.runs)
-@options.number_option(
+@options.generation_option(
     "--generation",
-    help="Generation, from 0.  [default: the one in which the best was found]",
+    help="Generation, from 1.  [default: the one in which the best was found]",
 )
 @options.candidate_option
 @options.number_option(
@@ -47,7 +47,7 @@ def command(
 
     \b
       zswarm-ot replay runs/stadium
-      zswarm-ot replay runs/stadium --generation 0 --trial 2
+      zswarm-ot replay runs/stadium --generation 1 --trial 2
       zswarm-ot replay runs/stadium --to gif
       zswarm-ot replay runs/stadium -o champion.html
     """
@@ -59,7 +59,8 @@ def command(
     run = Run(path)
     found = trace.trace(run, **chosen)
     about = found.about
-    trial_of = (f"{key} {about[key]}" for key in ("generation", "candidate", "trial"))
+    numbers = {**about, "generation": about["generation"] + 1}
+    trial_of = (f"{key} {numbers[key]}" for key in ("generation", "candidate", "trial"))
     title = ", ".join([run.name, *trial_of])
     if found.note:
         tables.line(f"{title}: not the recorded trial: {found.note}", stderr=True)

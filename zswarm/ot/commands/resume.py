@@ -21,9 +21,9 @@ MENU = ("Evolve", 2)
 @click.option(
     "--from",
     "generation",
-    type=click.IntRange(min=0),
+    type=click.IntRange(min=1),
     metavar="N",
-    help="Go back first: drop generation N, counted from 0, and all after it, and evaluate them "
+    help="Go back first: drop generation N, counted from 1, and all after it, and evaluate them "
     "again. The record as it was is kept next to the new one.",
 )
 @click.option(
@@ -52,7 +52,7 @@ def command(
 
     \b
       zswarm-ot resume runs/stadium
-      zswarm-ot resume runs/stadium --from 12
+      zswarm-ot resume runs/stadium --from 13
       zswarm-ot resume runs/stadium --trust lab-02
     """
     from zswarm.ot import evolution
@@ -113,7 +113,7 @@ def _go_back(folder: Path, generation: int) -> None:
 
     if not (folder / DATABASE).exists() and is_study(folder):
         _refuse_study(folder, "--from")
-    former = go_back(folder, generation)
+    former = go_back(folder, generation - 1)
     click.echo(
         f"{clean(str(folder))}: generations from {generation} on are evaluated again; the record "
         f"as it was is {clean(former.path.name)}",

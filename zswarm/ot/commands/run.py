@@ -22,6 +22,9 @@ MENU = ("Evolve", 1)
 )
 @options.set_option
 @click.option("--seed", type=click.IntRange(0, LAST_SEED), help="Seed of the run.")
+@options.number_option("--generations", help="Generations to evolve.")
+@options.number_option("--population", help="Candidates of a generation.")
+@options.number_option("--trials", help="Trials that judge each candidate.")
 @click.option(
     "--repeat",
     type=click.IntRange(1, MAX_RUNS),
@@ -36,6 +39,9 @@ def command(
     name: str,
     overrides: tuple[str, ...],
     seed: int | None,
+    generations: int | None,
+    population: int | None,
+    trials: int | None,
     repeat: int | None,
     out: Path,
     with_dashboard: bool,
@@ -61,16 +67,19 @@ def command(
     from zswarm.ot.display.progress import display
 
     path = experiment.find(name)
-    given = {"seed": seed, "study.repeat": repeat}
+    given = {"seed": seed, "generations": generations, "study.repeat": repeat}
+    given |= {"optimizer.population": population, "problem.trials": trials}
     more = [f"{key}={value}" for key, value in given.items() if value is not None]
     with options.blamed(overrides, path):
         loaded = options.with_cluster(experiment.load(path, [*overrides, *more]), cluster)
     errors = options.blamed(overrides, path)
     with playing.figures() as folders, Connection(loaded.cluster) as connection, errors:
-        if loaded.study.runs() > 1 or loaded.study.settings() != [{}]:
+        if loaded.study.runs() > 1 or loaded.study.varies():
+            from zswarm.ot.study import effort_table
             from zswarm.ot.study.study import Study
 
             with Study.create(loaded, str(path), out) as study:
+                effort_table.announce(loaded, study.cells, study.experiment.study.repeat)
                 playing.play(
                     study,
                     connection,

@@ -109,8 +109,8 @@ def candidate(run: Run, query: Query) -> dict[str, Any]:
     )
     if not rows:
         raise LookupError(
-            f"generation {of} has no candidate {which}; the record has {run.generations()} "
-            "generations, counted from 0"
+            f"generation {of + 1} has no candidate {which}; the record has {run.generations()} "
+            "generations"
         )
     genome, fitness = rows[0]
     trials = [

@@ -31,7 +31,7 @@ class PlainDisplay(Logger):
 
     def on_end(self, result: Result | None) -> None:
         if result is not None:
-            echo(summary(result), sys.stdout)
+            echo(f"{summary(result)}\n{next_steps(result.run)}", sys.stdout)
 
 
 class JsonDisplay(PlainDisplay):
@@ -132,23 +132,40 @@ def summary(result: Result) -> str:
     """Describe the result of a run in three lines, or four if its champion was assessed."""
     best = "the last generation's best score is" if result.relative else "best fitness"
     return (
-        f"{best} {result.best:.6g} after {plural(result.generations, 'generation')}, "
+        f"{best} {with_mean(result.best, result.trials)} "
+        f"after {plural(result.generations, 'generation')}, "
         f"{plural(result.evaluations, 'evaluation')} "
         f"({plural(result.requeued, 'trial')} sent again), {duration(result.seconds)}\n"
-        f"{held_out(result.champion)}"
+        f"{held_out(result.champion, result.trials)}"
         f"history {', '.join([*flaws(result), result.history_hash])}\n"
         f"run     {result.run}"
     )
 
 
-def held_out(champion: HeldOut | None) -> str:
+def next_steps(run: str) -> str:
+    """Return commands that show what a run found."""
+    return (
+        f"next    zswarm-ot replay {run}\n        zswarm-ot evaluate {run}\n"
+        f"        zswarm-ot report {run}"
+    )
+
+
+def with_mean(value: float | None, trials: int) -> str:
+    """Return a fitness, the sum of a candidate's trials, and what that is in each of them."""
+    if value is None or trials == 1:
+        return shown(value)
+    return f"{shown(value)} ({value / trials:.6g} a trial)"
+
+
+def held_out(champion: HeldOut | None, trials: int = 1) -> str:
     """Return a line about the champion on held-out seeds and in search; "" without these."""
     if champion is None:
         return ""
     low, high = shown(champion.low), shown(champion.high)
+    in_search = shown(champion.in_search)
     return (
-        f"held-out fitness {shown(champion.mean)} of the champion (95 %: {low} to {high}, "
-        f"{plural(champion.seeds, 'seed')}); in search {shown(champion.in_search)}\n"
+        f"held-out fitness {with_mean(champion.mean, trials)} of the champion "
+        f"(95 %: {low} to {high}, {plural(champion.seeds, 'seed')}); in search {in_search}\n"
     )
 
 

@@ -47,19 +47,20 @@ def row(table: "Table", *cells: object) -> None:
     table.add_row(*(_text(str(cell)) for cell in cells))
 
 
-def show(table: "Table") -> None:
+def show(table: "Table", *, stderr: bool = False) -> None:
     """Print a table, as a block of lines for each row where the terminal is too narrow.
 
     Numbers are broken only where nothing else helps. In a file or a pipe nothing is folded.
     """
-    made = console()
-    if not sys.stdout.isatty() and "COLUMNS" not in os.environ:
+    made = console(stderr=stderr)
+    stream = sys.stderr if stderr else sys.stdout
+    if not stream.isatty() and "COLUMNS" not in os.environ:
         made.width = UNFOLDED
     unfolded = made.measure(
         table, options=made.options.update(max_width=UNFOLDED)
     ).maximum
     if made.width < min(NARROW, unfolded):
-        _show_blocks(table)
+        _show_blocks(table, stderr=stderr)
         return
     numbers = [column for column in table.columns if column.justify == "right"]
     needed = NARROWEST * (len(table.columns) - len(numbers)) + 2 * len(table.columns)
@@ -70,14 +71,14 @@ def show(table: "Table") -> None:
     made.print(table)
 
 
-def _show_blocks(table: "Table") -> None:
+def _show_blocks(table: "Table", *, stderr: bool) -> None:
     headers = [f"  {column.header}" for column in table.columns]
     for cells in zip(*(column.cells for column in table.columns), strict=True):
         first, *others = (" ".join(str(cell).split()) for cell in cells)
-        line(first)
+        line(first, stderr=stderr)
         for header, text in zip(headers[1:], others, strict=True):
             if text:
-                entry(header, text, label=2 + max(map(len, headers)))
+                entry(header, text, label=2 + max(map(len, headers)), stderr=stderr)
 
 
 def line(text: "str | Text", *, stderr: bool = False) -> None:
@@ -95,9 +96,16 @@ def wrapped(text: str, width: int) -> str:
     return "\n".join(textwrap.wrap(text, width, subsequent_indent="  ", **UNBROKEN))
 
 
-def entry(about: str, text: str, *, colour: str = "", label: int = LABEL) -> None:
+def entry(
+    about: str,
+    text: str,
+    *,
+    colour: str = "",
+    label: int = LABEL,
+    stderr: bool = False,
+) -> None:
     """Print a label padded to some columns, then a text within the terminal's width."""
-    _hanging(_text(f"{about:{label}}", colour), text, label)
+    _hanging(_text(f"{about:{label}}", colour), text, label, stderr=stderr)
 
 
 def item(name: str, *texts: str) -> None:
@@ -115,9 +123,9 @@ def fact(state: str, about: str, text: str, remedy: str) -> None:
         _hanging(_text(f"{'':20}> "), remedy, 22)
 
 
-def _hanging(lead: "Text", text: str, indent: int) -> None:
+def _hanging(lead: "Text", text: str, indent: int, *, stderr: bool = False) -> None:
     """Print a text after its lead, with all lines beginning in the same column."""
-    made = console()
+    made = console(stderr=stderr)
     lines = textwrap.wrap(text, max(LEAST, made.width - indent), **UNBROKEN)
     made.print(lead + f"\n{' ' * indent}".join(lines), soft_wrap=True)
 

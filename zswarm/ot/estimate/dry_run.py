@@ -15,7 +15,7 @@ from zswarm.config import ranges
 from zswarm.experiment import Experiment
 from zswarm.ot.assessment import contest, track
 from zswarm.ot.build import Parts
-from zswarm.ot.estimate.sample import breed, rounds
+from zswarm.ot.estimate.sample import MOST_BRED, breed, counted, rounds
 from zswarm.ot.problem import Problem
 from zswarm.plugins import registry
 from zswarm.sims.randomized import Varied
@@ -24,7 +24,6 @@ from zswarm.system.format import size
 SAMPLE_S = 0.3  # of trials
 MOST_TRIALS = 512  # of the sample
 MOST_SEEDS = 8  # of the sample, where settings differ by trial; else 2
-MOST_BRED = 5_000  # candidates of a first generation, up to which a second one is bred
 EXAMPLE_SERVERS, EXAMPLE_SLOTS = 8, 4
 FEW = 5  # candidates
 
@@ -148,10 +147,10 @@ def _work(
 ) -> dict[str, Any]:
     """Count evaluations, simulations, seconds and bytes of a run."""
     complete, simulator = problem.experiment, problem.simulator
-    trials, others = complete.problem.trials, complete.generations - 1
-    evaluations = first + others * later
+    effort, trials = counted(problem, first, later), complete.problem.trials
+    others, evaluations = effort.generations - 1, effort.evaluations
     played = [rounds(problem, count) for count in (first, later)]
-    simulations = trials * (sum(played[0]) + others * sum(played[1]))
+    simulations = effort.simulations
     trial = (
         TRIAL
         + METRIC * len(simulator.metrics)
@@ -177,7 +176,7 @@ def _work(
         "slots": slots,
         "seconds": seconds(slots),
         "seconds_elsewhere": seconds(EXAMPLE_SERVERS * EXAMPLE_SLOTS),
-        "record_bytes": record + complete.generations * GENERATION,
+        "record_bytes": record + effort.generations * GENERATION,
     }
 
 

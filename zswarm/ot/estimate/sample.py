@@ -1,12 +1,26 @@
 """Sample an experiment: how many candidates and games a generation has, without a run."""
 
 import time
+from typing import NamedTuple
 
 import numpy as np
 
+from zswarm.ot.build import Parts
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.problem import Problem
 from zswarm.ot.rankings.ranking import Round
+
+MOST_BRED = 5_000  # candidates of a first generation, up to which a second one is bred
+
+
+class Effort(NamedTuple):
+    """What each run of a setting takes."""
+
+    first: int  # candidates of the first generation
+    later: int
+    generations: int
+    evaluations: int
+    simulations: int
 
 
 def breed(optimizer: Optimizer, candidates: int) -> tuple[list[bytes], float]:
@@ -28,3 +42,34 @@ def rounds(problem: Problem, candidates: int) -> list[int]:
 def simulations(problem: Problem, candidates: int) -> int:
     """Return the simulations of a generation."""
     return sum(rounds(problem, candidates)) * problem.experiment.problem.trials
+
+
+def effort(parts: Parts) -> Effort:
+    """Count the work of a run up to its budget or its last generation; the parts are used up."""
+    problem, optimizer = parts
+    first = later = len(optimizer.ask())
+    if first <= MOST_BRED:
+        later = len(breed(optimizer, first)[0])
+    return counted(problem, first, later)
+
+
+def counted(problem: Problem, first: int, later: int) -> Effort:
+    """Count the work of a run whose generations have so many candidates."""
+    complete = problem.experiment
+    played = simulations(problem, first), simulations(problem, later)
+    generations, stop = complete.generations, complete.stop
+    for limit, begin, each in (
+        (stop.evaluations, first, later),
+        (stop.simulations, *played),
+    ):
+        if limit:
+            fitting = 1 + max(0, limit - begin) // max(1, each)
+            generations = min(generations, fitting)
+    others = generations - 1
+    return Effort(
+        first,
+        later,
+        generations,
+        first + others * later,
+        played[0] + others * played[1],
+    )

@@ -112,7 +112,7 @@ class Adapter(BaseOptimizer):
             proposed = self.ask()
             if len(proposed) != len(genomes):
                 raise ConfigError(
-                    f"optimizer: generation {generation} was recorded with {len(genomes)} "
+                    f"optimizer: generation {generation + 1} was recorded with {len(genomes)} "
                     f"candidates, and this program proposes {len(proposed)}: resume with the "
                     "versions of the packages with which the run began"
                 )

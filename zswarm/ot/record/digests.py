@@ -37,7 +37,7 @@ class Damage(Exception):
     """
 
     def __init__(self, what: str, generation: int | None = None) -> None:
-        where = "" if generation is None else f"generation {generation}: "
+        where = "" if generation is None else f"generation {generation + 1}: "
         super().__init__(f"{where}{what}")
         self.generation = generation
 

@@ -77,7 +77,7 @@ def mark(found: Sequence[Epoch], generations: int) -> str:
         known = span.epoch.versions
         also = ", ".join(f"{name} {known.get(name, 'none')}" for name in shown)
         by = span.epoch.version_hash[:8] + (f" ({also})" if also else "")
-        texts.append(f"{span.first}-{span.last} by {by}")
+        texts.append(f"{span.first + 1}-{span.last + 1} by {by}")
     return clean(f"computed by {len(hashes)} versions: generations {', '.join(texts)}")
 
 

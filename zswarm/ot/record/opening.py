@@ -17,7 +17,7 @@ import numpy as np
 from zswarm.config.sections import ABSOLUTE
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
-from zswarm.ot.record import verify
+from zswarm.ot.record import stopping, verify
 from zswarm.ot.record.database import Statement, transact
 from zswarm.ot.record.digests import seal
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT
@@ -29,7 +29,15 @@ from zswarm.system.version import VERSION
 
 SECRET = 16  # bytes, by which servers tell the run's programs from others
 # These may change while a run is stopped.
-NOT_DECISIVE = ("generations", "assessment", "cluster", "record", "study")
+NOT_DECISIVE = (
+    "generations",
+    "assessment",
+    "cluster",
+    "record",
+    "stop",
+    "study",
+    "label",
+)
 RACING = "assessment.racing"  # may not
 
 
@@ -100,7 +108,7 @@ def check(
     keys = [key for key in sorted(before | after) if before.get(key) != after.get(key)]
     raise ConfigError(
         f"{folder / EXPERIMENT}: {', '.join(keys)} changed since the run began; "
-        "only generations, [assessment] but racing, [cluster] and [record] may"
+        "only generations, label, [assessment] but racing, [cluster], [record] and [stop] may"
     )
 
 
@@ -121,7 +129,7 @@ def raise_epoch(
         (SET_META, ("epoch", now["epoch"])),
         (SET_META, ("secret", secret)),
     ]
-    if finished < complete.generations:
+    if finished < complete.generations and not stopping.ended(meta, complete):
         for key in OF_THE_END:
             now.pop(key, None)
             changes.append(("DELETE FROM meta WHERE key = ?", (key,)))

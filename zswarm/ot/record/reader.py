@@ -87,6 +87,8 @@ class Run:
             **began,
             **parts,
             "generations": file.generations,
+            "stop": experiment.to_mapping(file).get("stop", {}),
+            "label": clean(file.label),
             "assessment": msgspec.to_builtins(file.assessment) | {"racing": racing},
             "cluster": clean_all(msgspec.to_builtins(file.cluster)),
         }
@@ -244,7 +246,7 @@ class Run:
         try:
             return trials_of(batches, self.experiment.problem.trials, self._metric_names)
         except ValueError:
-            what = f"outcomes of generation {generation} do not fit together"
+            what = f"outcomes of generation {generation + 1} do not fit together"
             raise self._damaged(what) from None
 
     def champion(self) -> Controller | None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.logger import Result
+from zswarm.ot.record import stopping
 from zswarm.ot.record.reader import Run
 
 
@@ -16,20 +17,24 @@ def finished_result(folder: Path, complete: Experiment) -> Result | None:
         ConfigError: its record is damaged.
     """
     run = Run(folder)
-    if run.generations() != complete.generations or run.changed:
+    ended = stopping.ended(run.meta, complete)
+    if (not ended and run.generations() != complete.generations) or run.changed:
         return None
     if run.finished:
         run.check()
-    return result_after(folder, complete.generations)
+    return result_after(folder, complete)
 
 
-def result_after(folder: Path, generations: int) -> Result | None:
-    """Return a finished run's result after a number of generations, for runs of one length.
+def result_after(folder: Path, complete: Experiment) -> Result | None:
+    """Return a finished run's result after the experiment's generations, for runs of one length.
 
     It is None also for a run that cannot be read: resuming it reports why.
     """
     try:
         run = Run(folder)
+        generations = complete.generations
+        if stopping.ended(run.meta, complete):
+            generations = min(generations, run.generations())
         if not run.finished or run.generations() < generations:
             return None
         history, (faulted, doubtful) = run.history(), run.marked()
@@ -39,21 +44,20 @@ def result_after(folder: Path, generations: int) -> Result | None:
     except ConfigError:
         return None
     last = history[generations - 1]
+    whole = last is history[-1]
     return Result(
         str(folder),
         generations,
         math.nan if last["best"] is None else last["best"],
         last["evaluations"],
         sum(count or 0 for count in counts),
-        run.history_hash or "" if last is history[-1] else "",
+        run.history_hash or "" if whole else "",
         0.0,
         faulted,
         doubtful,
         run.relative,
         run.history_version,
-        *(
-            ()
-            if last is not history[-1]
-            else (run.held_out, run.meta.get("assessment_hash", ""))
-        ),
+        champion=run.held_out if whole else None,
+        assessment_hash=run.meta.get("assessment_hash", "") if whole else "",
+        trials=1 if run.relative else run.experiment.problem.trials,
     )

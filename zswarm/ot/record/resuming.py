@@ -16,6 +16,7 @@ from zswarm.ot.record.commits import Commits
 from zswarm.ot.record.contenders import Contender, Contenders
 from zswarm.ot.record.history_hash import START, History
 from zswarm.ot.record.packing import Place, unpack
+from zswarm.ot.record.stopping import Spent
 from zswarm.ot.workload import Workload
 
 CONTENDERS_AT_ONCE = 10_000  # rows
@@ -90,10 +91,11 @@ class Recorded:
                 or not np.isin(numbers, workload.numbers).all()
                 or participants != statements.games(workload, indices)
             ):
+                number = 1 + (self._generation or 0)
                 raise ConfigError(
-                    f"{self._database.path.parent}: generation {self._generation} was begun with "
-                    "other candidates or games: this program proposes differently than the one "
-                    "that began the run"
+                    f"{self._database.path.parent}: generation {number} was begun with other "
+                    "candidates or games: this program proposes differently than the one that "
+                    "began the run"
                 )
             count = len(indices)
             workload.fitness[indices] = np.frombuffer(fitness, "<f8").reshape(count, -1)
@@ -146,6 +148,31 @@ class Recorded:
             "SELECT history FROM generations ORDER BY generation DESC LIMIT 1"
         )
         return History(last[0][0] if last else START)
+
+    def spent(self) -> list[Spent]:
+        """Return what each finished generation found and took, pauses between programs left out."""
+        played = dict(
+            self._database.rows(
+                "SELECT generation, sum(count) FROM outcomes GROUP BY generation"
+            )
+        )
+        began = [
+            row[0]
+            for row in self._database.rows("SELECT at FROM events WHERE event = 'began'")
+        ]
+        found, before = (
+            [],
+            float(self._value("SELECT value FROM meta WHERE key = 'created_at'")),
+        )
+        for generation, at, best, evaluations in self._database.rows(
+            "SELECT generation, finished_at, best, evaluations FROM generations "
+            "ORDER BY generation"
+        ):
+            since = max([before, *(begin for begin in began if begin <= at)])
+            taken = max(0.0, at - since)
+            found.append(Spent(best, evaluations, int(played.get(generation, 0)), taken))
+            before = at
+        return found
 
     def evaluations(self) -> int:
         """Return the number of candidates of the finished generations."""

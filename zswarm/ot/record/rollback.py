@@ -96,8 +96,8 @@ def _copy(
         _add(new, "candidates", f"generation, {CANDIDATE}", rows)
     if len(expected) < generations:
         raise ConfigError(
-            f"{folder}: --from {generations}: {len(expected)} generations are finished: expected "
-            f"0 to {len(expected)}"
+            f"{folder}: --from {generations + 1}: {len(expected)} generations are finished: "
+            f"expected 1 to {len(expected) + 1}"
         )
     found = [0] * generations
     kept = _outcomes_before(former, generations, found)

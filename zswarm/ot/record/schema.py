@@ -15,6 +15,7 @@ SCHEMA_VERSION = 6
 ASSESSMENT = 1_000_000_000  # in place of a generation, after the last that a run can have
 OF_THE_END = (
     "history_hash",
+    "stopped",
     "assessing",
     "assessment",
     "assessment_hash",

@@ -26,7 +26,7 @@ def generation_of(run: Run, generation: int | None) -> int:
         return count - 1 if run.relative or not found else found[0]
     if not 0 <= generation < count:
         raise ConfigError(
-            f"{run.shown}: no generation {generation}; {available('generation', count)}"
+            f"{run.shown}: no generation {generation + 1}; {available('generation', count, 1)}"
         )
     return generation
 
@@ -50,7 +50,7 @@ def candidate_of(
     if candidate is None and candidates:
         return max(candidates, key=rank)
     if candidate not in candidates:
-        what = f"no candidate {candidate} in generation {generation}"
+        what = f"no candidate {candidate} in generation {generation + 1}"
         raise ConfigError(
             f"{run.shown}: {what}; {available('candidate', len(candidates))}"
         )
@@ -73,17 +73,17 @@ def genome_of(
         kept = [number for number, row in candidates.items() if row["genome"] is not None]
         numbers = ", ".join(map(str, kept[:5]))
         raise ConfigError(
-            f"{run.shown}: the genome of candidate {candidate} in generation {generation} was not "
-            f"kept ([record] genomes); of this generation there are those of {numbers or 'none'}"
+            f"{run.shown}: the genome of candidate {candidate} in generation {generation + 1} was "
+            f"not kept ([record] genomes); of this generation are kept {numbers or 'none'}"
         )
     return genome
 
 
-def available(what: str, count: int) -> str:
-    """Return, in words, the valid numbers of things that are counted from 0."""
+def available(what: str, count: int, first: int = 0) -> str:
+    """Return, in words, the valid numbers of things that are counted from ``first``."""
     if count < 2:
-        return f"it has {what} 0 only" if count else f"it has no {what}s"
-    return f"it has {what}s 0 to {count - 1}"
+        return f"it has {what} {first} only" if count else f"it has no {what}s"
+    return f"it has {what}s {first} to {first + count - 1}"
 
 
 def controller(

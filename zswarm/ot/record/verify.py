@@ -45,7 +45,9 @@ def in_words(folder: Path) -> Iterator[None]:
                 f"the experiment can be run again from {clean(str(folder / EXPERIMENT))}"
             )
         else:
-            command = f"zswarm-ot resume {clean(str(folder))} --from {damage.generation}"
+            command = (
+                f"zswarm-ot resume {clean(str(folder))} --from {damage.generation + 1}"
+            )
             again = f"{command} evaluates again from there"
         raise ConfigError(f"{path}: damaged: {clean(str(damage))}; {again}") from None
     except (sqlite3.DatabaseError, UnicodeDecodeError) as error:

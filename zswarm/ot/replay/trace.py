@@ -98,16 +98,14 @@ def trace(
     candidates = {one["candidate"]: one for one in run.candidates(generation)}
     candidate = candidate_of(run, generation, candidates, candidate)
     problem = Problem(run.experiment)
-    what = f"trial {trial} of candidate {candidate} in generation {generation}"
+    what = f"trial {trial} of candidate {candidate} in generation {generation + 1}"
     recorded = _recorded(run, problem, (generation, candidate, trial), what)
     players = recorded.get("candidates", [candidate])
     number = recorded.get("trial", trial)
     seed = int(problem.trial_seeds(generation)[number])
     for player in players:
         if player not in candidates:
-            why = (
-                f"candidate {player} played in generation {generation}, and has no genome"
-            )
+            why = f"candidate {player} played in generation {generation + 1}, and has no genome"
             raise ConfigError(f"{run.shown}: damaged: {why}")
     genomes = [genome_of(run, generation, candidates, player) for player in players]
     try:

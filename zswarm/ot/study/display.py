@@ -6,7 +6,7 @@ from typing import Any
 
 from zswarm.ot.analysis.comparison import SCORES
 from zswarm.ot.display import tables
-from zswarm.ot.display.progress import flaws, generation_event, say
+from zswarm.ot.display.progress import flaws, generation_event, say, with_mean
 from zswarm.ot.logger import Generation, Logger, Started
 from zswarm.ot.study.outcome import RunEnded, StudyLogger, StudyOutcome
 from zswarm.ot.study.plan import Planned
@@ -197,7 +197,8 @@ def _described(ended: RunEnded) -> str:
     champion, held_out = result.champion, ""
     if champion is not None and champion.mean is not None:
         held_out = f"held-out {champion.mean:.6g}"
-    parts = (name, f"best {result.best:.6g}", held_out, work, ", ".join(flaws(result)))
+    best = with_mean(result.best, result.trials)
+    parts = (name, f"best {best}", held_out, work, ", ".join(flaws(result)))
     return "  ".join(filter(None, parts))
 
 
@@ -214,9 +215,13 @@ def _show(outcome: StudyOutcome) -> None:
         spread = summary.fitness
         values = [spread.q25, spread.median, spread.q75, spread.best]
         values += [summary.held_out] if assessed else []
-        numbers = ("" if value is None else f"{value:.5g}" for value in values)
+        numbers = (
+            "" if value is None else f"{value / summary.trials:.5g}" for value in values
+        )
         tables.row(table, label, summary.runs, *numbers, summary.evaluations)
     tables.show(table)
+    if any(summary.trials > 1 for summary in outcome.settings):
+        tables.paragraph("fitness is the mean of a candidate's trials")
     for ended in outcome.failed:
         tables.line(f"failed  {ended.planned.name}: {ended.error}")
     runs = f"{outcome.finished} of {plural(outcome.runs, 'run')} finished"

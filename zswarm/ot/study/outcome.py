@@ -7,7 +7,7 @@ import numpy as np
 
 from zswarm.ot.analysis.curves import Spread, spread
 from zswarm.ot.logger import Logger, Result
-from zswarm.ot.study.plan import Planned, first_of_each, label
+from zswarm.ot.study.plan import Planned, labels
 
 
 class RunEnded(NamedTuple):
@@ -28,6 +28,7 @@ class Summary(NamedTuple):
     fitness: Spread
     evaluations: int
     held_out: float | None  # median of the champions' means on held-out seeds
+    trials: int = 1  # of a candidate: fitness is their sum
 
     def numbers(self) -> dict[str, Any]:
         """Return what is reported to programs."""
@@ -77,13 +78,12 @@ def summarize(
 ) -> StudyOutcome:
     """Summarize the runs of a study by setting."""
     finished = [one for one in ended if one.result is not None]
-    settings = [one.settings for one in first_of_each(planned)]
     by_setting: dict[str, list[RunEnded]] = {}
     for one in finished:
         by_setting.setdefault(repr(one.planned.settings), []).append(one)  # 1 is not 1.0
     summaries = [
-        _summary(each, label(each, settings), by_setting.get(repr(each), []))
-        for each in settings
+        _summary(one.settings, name, by_setting.get(repr(one.settings), []))
+        for name, one in labels(planned)
     ]
     return StudyOutcome(
         study,
@@ -106,4 +106,7 @@ def _summary(settings: dict[str, Any], words: str, ended: Sequence[RunEnded]) ->
     champions = [result.champion for result in results if result.champion is not None]
     means = [one.mean for one in champions if one.mean is not None]
     held_out = float(np.median(means)) if means else None
-    return Summary(settings, words, len(results), spread(best), evaluations, held_out)
+    trials = results[0].trials if results else 1
+    return Summary(
+        settings, words, len(results), spread(best), evaluations, held_out, trials
+    )

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import msgspec
 
 from zswarm import experiment
+from zswarm.config.sections import shown
 from zswarm.experiment import PARTS, Experiment
 from zswarm.protocol.keys import MAX_ID, fold
 from zswarm.system.text import clean
@@ -46,7 +47,8 @@ def plan(
         for settings, variant in variants:
             one = msgspec.structs.replace(variant, seed=seed)
             what = identity(one)
-            free = (name for name in _names(settings, seed) if name not in taken)
+            names = _names(settings, seed, variant.label)
+            free = (name for name in names if name not in taken)
             name = next(name for name in free if found.get(name, what) == what)
             taken.add(name)
             planned.append(Planned(name, settings, seed, one))
@@ -69,8 +71,18 @@ def label(settings: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> s
     """Describe a setting by its changes, such as ``hidden 2, population 50``, in distinct words."""
     paths = {path for setting in others for path in setting}
     return ", ".join(
-        f"{_short(path, paths)} {_value(value)}" for path, value in settings.items()
+        f"{_short(path, paths)} {shown(value)}" for path, value in settings.items()
     )
+
+
+def labels(planned: Sequence[Planned]) -> list[tuple[str, Planned]]:
+    """Return each setting's label, the chosen one or its changes, and its first run."""
+    firsts = first_of_each(planned)
+    others = [one.settings for one in firsts]
+    return [
+        (clean(one.experiment.label) or label(one.settings, others), one)
+        for one in firsts
+    ]
 
 
 def another(trials: Sequence[int | None], slots: int, *, at_once: int) -> bool:
@@ -89,12 +101,16 @@ def another(trials: Sequence[int | None], slots: int, *, at_once: int) -> bool:
     return len(known) == len(trials) < MOST_AT_ONCE and sum(known) < 2 * slots
 
 
-def _names(settings: Mapping[str, Any], seed: int) -> Iterator[str]:
+def _names(settings: Mapping[str, Any], seed: int, chosen: str = "") -> Iterator[str]:
     """Yield names for a run's folder, the best first."""
     changes = (
-        (path.rpartition(".")[2], _value(value)) for path, value in settings.items()
+        (path.rpartition(".")[2], shown(value)) for path, value in settings.items()
     )
-    words = "-".join(fold(f"{key} {value}") for key, value in changes)
+    words = (
+        fold(chosen)
+        if chosen
+        else "-".join(fold(f"{key} {value}") for key, value in changes)
+    )
     words = words[: MAX_ID - len(f"-{'x' * DIGEST}-seed-{seed}")].strip("-")
     yield f"{words}-seed-{seed}".lstrip("-")
     what = json.dumps(settings, default=str)  # as they were written: 1 is not 1.0
@@ -111,7 +127,3 @@ def _short(path: str, others: set[str]) -> str:
     return clean(
         last if sum(other.rpartition(".")[2] == last for other in others) == 1 else path
     )
-
-
-def _value(value: Any) -> str:
-    return clean(value if isinstance(value, str) else json.dumps(value, default=str))

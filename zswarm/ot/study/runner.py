@@ -20,6 +20,7 @@ import msgspec
 
 from zswarm import experiment
 from zswarm.errors import ConfigError, NoServers, Stopped, ZswarmError
+from zswarm.experiment import Experiment
 from zswarm.ot import evolution
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.watch import NOBODY, NOBODY_YET
@@ -212,7 +213,7 @@ class Player:
     ) -> contextlib.AbstractContextManager[Evolution]:
         folder, name = self._folder / planned.name, planned.name
         if (folder / DATABASE).exists():
-            _lengthen(folder, planned.experiment.generations)
+            _lengthen(folder, planned.experiment)
             return evolution.resume(folder, self._connection, logger)
         if os.path.lexists(folder):
             _remove(folder)
@@ -222,11 +223,13 @@ class Player:
         )
 
 
-def _lengthen(folder: Path, generations: int) -> None:
-    """Write the generations that the study's experiment has now."""
+def _lengthen(folder: Path, now: Experiment) -> None:
+    """Write the generations, the limits and the label that the study's experiment has now."""
     began = experiment.load(folder / EXPERIMENT)
-    if began.generations != generations:
-        changed = msgspec.structs.replace(began, generations=generations)
+    changed = msgspec.structs.replace(
+        began, generations=now.generations, stop=now.stop, label=now.label
+    )
+    if began != changed:
         write_whole(folder / EXPERIMENT, experiment.to_toml(changed).encode())
 
 

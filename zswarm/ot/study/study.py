@@ -15,7 +15,7 @@ from typing import Self
 
 from zswarm import experiment
 from zswarm.config.decode import read
-from zswarm.config.sections import StudyConfig
+from zswarm.config.sections import BudgetConfig, StudyConfig
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.build import build
@@ -29,6 +29,7 @@ from zswarm.ot.record.folder import (
     unusable,
 )
 from zswarm.ot.record.results import result_after
+from zswarm.ot.study.effort import Cell, bounded, cells
 from zswarm.ot.study.outcome import RunEnded, StudyLogger, StudyOutcome, summarize
 from zswarm.ot.study.plan import Planned, first_of_each, identity, label, plan
 from zswarm.ot.study.runner import Player
@@ -44,18 +45,25 @@ class Study:
         folder: its folder.
         experiment: complete, with the study.
         planned: all of its runs, in the order in which they begin.
+        cells: its settings, with the work of a run of each.
         ended: the runs that ended; at first those that were finished when it was opened.
         others: names of runs in its folder that do not belong to it.
     """
 
     def __init__(
-        self, folder: Path, complete: Experiment, planned: list[Planned], lock: int
+        self,
+        folder: Path,
+        complete: Experiment,
+        planned: list[Planned],
+        lock: int,
+        known: list[Cell],
     ) -> None:
         self.folder, self.experiment, self.planned = folder, complete, planned
+        self.cells = known
         self.ended = [
             RunEnded(one, result, earlier=True)
             for one in planned
-            if (result := result_after(folder / one.name, one.experiment.generations))
+            if (result := result_after(folder / one.name, one.experiment))
         ]
         found = {path.parent.name for path in folder.glob(f"*/{DATABASE}")}
         self.others = sorted(
@@ -73,7 +81,7 @@ class Study:
             ConfigError: a setting is impossible, or the folder cannot be written.
         """
         complete = experiment.complete(loaded, where)
-        planned = checked_plan(complete, where, {})
+        planned, known = checked_plan(complete, where, {})
         text = experiment.to_toml(complete)
         if complete.study == StudyConfig():
             text += "\n[study]\n"
@@ -87,7 +95,7 @@ class Study:
             except OSError as error:
                 why = f"cannot be written: {error.strerror}"
                 raise unusable(folder, why) from None
-            study = cls(folder, complete, planned, lock)
+            study = cls(folder, complete, planned, lock, known)
             undo.pop_all()
         return study
 
@@ -102,8 +110,9 @@ class Study:
         with contextlib.ExitStack() as undo:
             lock = lock_folder(folder, "study")
             undo.callback(os.close, lock)
-            planned = checked_plan(complete, str(folder / EXPERIMENT), _found(folder))
-            study = cls(folder, complete, planned, lock)
+            where = str(folder / EXPERIMENT)
+            planned, known = checked_plan(complete, where, _found(folder))
+            study = cls(folder, complete, planned, lock, known)
             undo.pop_all()
         return study
 
@@ -203,19 +212,25 @@ def _found(folder: Path) -> dict[str, str]:
 
 def checked_plan(
     complete: Experiment, where: str, found: Mapping[str, str]
-) -> list[Planned]:
+) -> tuple[list[Planned], list[Cell]]:
     """Plan the runs, and build the parts of each setting once.
+
+    Returns:
+        The runs, and the settings with their work.
 
     Raises:
         ConfigError: a setting is impossible; it is named.
     """
-    planned = plan(complete, where, found)
+    planned, parts = plan(complete, where, found), []
     for one in first_of_each(planned):
         try:
-            build(one.experiment)
+            parts.append(build(one.experiment))
         except ConfigError as error:
-            words = label(one.settings, [one.settings])
+            words = one.experiment.label or label(one.settings, [one.settings])
             raise ConfigError(
                 f"{where}: study: with {words}: {error}" if words else str(error)
             ) from None
-    return planned
+    known = cells(planned, parts)
+    if complete.study.budget != BudgetConfig():
+        planned = bounded(planned, known)
+    return planned, known

@@ -28,6 +28,14 @@ TRIALS = click.IntRange(1, 1_000_000)
 number_option = partial(click.option, type=int, metavar="N")
 
 
+def _from_zero(_: click.Context, __: click.Parameter, given: int | None) -> int | None:
+    """Return a generation as the record counts it, from 0; people count from 1."""
+    return None if given is None else given - 1
+
+
+generation_option = partial(number_option, callback=_from_zero)
+
+
 def _json_only(context: click.Context, _: click.Parameter, as_json: bool) -> bool:
     """Keep everything but JSON off stdout until the command ends."""
     if as_json and not context.resilient_parsing:
@@ -107,6 +115,22 @@ out_option = click.option(
 )
 csv_option = click.option(
     "--csv", metavar="FILE", help="Also write the numbers as CSV; - is stdout."
+)
+SEARCH = "search"
+measure_option = click.option(
+    "--measure",
+    metavar="search|held-out|fitness|METRIC",
+    default=SEARCH,
+    show_default=True,
+    help="search: best fitness in search; held-out: the champion's, as assessed at the end of "
+    "the run; fitness, or a metric of the simulator: the champion's, as evaluate played it.",
+)
+label_option = click.option(
+    "--label",
+    "labels",
+    multiple=True,
+    metavar="GROUP=NAME",
+    help="Another name for a group; may be repeated.",
 )
 candidate_option = number_option(
     "--candidate", help="Candidate of the generation, from 0.  [default: the best]"
@@ -202,10 +226,17 @@ def complete(name: str, overrides: Sequence[str], cluster: dict[str, Any]) -> Ex
     Raises:
         ConfigError: something in the file or an option is impossible.
     """
+    return loaded_and_complete(name, overrides, cluster)[1]
+
+
+def loaded_and_complete(
+    name: str, overrides: Sequence[str], cluster: dict[str, Any]
+) -> tuple[Experiment, Experiment]:
+    """Return an experiment as its file has it, and complete; errors as ``complete``."""
     path = experiment.find(name)
     with blamed(overrides, path):
         loaded = with_cluster(experiment.load(path, overrides), cluster)
-        return experiment.complete(loaded, str(path))
+        return loaded, experiment.complete(loaded, str(path))
 
 
 def reach(

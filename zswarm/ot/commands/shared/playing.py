@@ -38,7 +38,7 @@ ENDINGS = (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError)
 
 def finish(run: "Evolution", shown: "Logger", *, with_dashboard: bool) -> None:
     """Evolve a run to its end; if it is stopped, close it and print how to resume it."""
-    signal.signal(signal.SIGTERM, _terminate)
+    _catch_signals()
     try:
         with dashboard(run.folder, shown.on_say, wanted=with_dashboard):
             run.finish()
@@ -63,7 +63,7 @@ def play(
     """
     from zswarm.ot.study.display import display
 
-    signal.signal(signal.SIGTERM, _terminate)
+    _catch_signals()
     shown = display(study, as_json=as_json)
     try:
         with dashboard(study.folder, shown.on_say, wanted=with_dashboard):
@@ -116,6 +116,13 @@ def _say_how_to_resume(folder: Path, error: BaseException) -> None:
         click.echo(line, err=True)
     else:
         error.add_note(line)
+
+
+def _catch_signals() -> None:
+    """End as cleanly as by Ctrl-C when asked to, or when the terminal is closed (without nohup)."""
+    signal.signal(signal.SIGTERM, _terminate)
+    if signal.getsignal(signal.SIGHUP) == signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, _terminate)
 
 
 def _terminate(_number: int, _frame: FrameType | None) -> None:

@@ -57,7 +57,7 @@ class Player extends Picture {
     const { trace } = this, { about, error, note } = trace;
     const parts = ["generation", "candidate", "trial"].filter((key) => about[key] !== undefined);
     const title = [about.run ?? about.simulator ?? "",
-      ...parts.map((key) => `${key} ${about[key]}`)].join(" · ");
+      ...parts.map((key) => `${key} ${about[key] + (key === "generation")}`)].join(" · ");
     const metrics = Object.entries(trace.metrics).map(([key, value]) => `${key} ${shown(value)}`);
     const result = [`fitness ${trace.fitness.map(shown).join(", ")}`, ...metrics].join(" · ");
     const notes = [note, error && `the trial failed: ${error}`].filter(Boolean);
@@ -88,7 +88,7 @@ class Player extends Picture {
     this.speeds = select("speed", SPEEDS.map((speed) => [speed, `×${speed}`]),
       (value) => { this.speed = value; });
     this.speeds.value = 1;
-    const agents = Array.from({ length: trace.agents }, (_, i) => [i, `agent ${i + 1}`]);
+    const agents = Array.from({ length: trace.agents }, (_, i) => [i, `agent ${i}`]);
     this.agents = select("agent", [[-1, "no agent"], ...agents], (value) => this.choose(value));
     return h("div", { class: "zp-bar", role: "group", "aria-label": "playing" },
       h("div", { class: "zp-line" },
@@ -221,7 +221,7 @@ class Player extends Picture {
     if (!this.trace.agents || agent >= this.trace.agents || agent < -1) return;
     this.chosen = agent;
     this.agents.value = agent;
-    this.panel.title.textContent = agent < 0 ? "no agent chosen" : `agent ${agent + 1}`;
+    this.panel.title.textContent = agent < 0 ? "no agent chosen" : `agent ${agent}`;
     this.panel.drawStrips();
     this.draw();
   }

@@ -1,0 +1,69 @@
+"""What a study takes is known before it starts, and what makes its settings unequal is named."""
+
+from pathlib import Path
+
+from tests.smallest_experiment import small
+from zswarm import experiment
+from zswarm.ot.study import effort
+from zswarm.ot.study.effort_table import as_objects, total
+from zswarm.ot.study.study import checked_plan
+
+GRID = """
+population = 30
+[study]
+repeat = 2
+[study.grid]
+optimizer = [{ kind = "nnga", population = 30, label = "NNGA" },
+             { kind = "cmaes", population = 10, label = "CMA-ES" }]
+representation = [{ kind = "fully-meshed", label = "meshed" },
+                  { kind = "feed-forward", label = "layers" }]
+"""
+
+
+def written(
+    folder: Path, more: str, meshed: str = ""
+) -> tuple[list[str], list[effort.Cell]]:
+    path = small(folder, more)
+    path.write_text(
+        path.read_text().replace('"fully-meshed"\n', f'"fully-meshed"\n{meshed}\n', 1)
+    )
+    loaded = experiment.load(path)
+    _, cells = checked_plan(experiment.complete(loaded, path.name), path.name, {})
+    return list(effort.warnings(loaded, cells)), cells
+
+
+def test_a_setting_that_does_not_reach_all_is_named_once_with_those(
+    tmp_path: Path,
+) -> None:
+    warnings, _ = written(tmp_path, GRID, "hidden = 3")
+    hidden = [text for text in warnings if "hidden" in text]
+    assert hidden == [
+        "representation.hidden = 3 is not used, but fully-meshed with hidden = 2: "
+        "NNGA, meshed; CMA-ES, meshed",
+        "representation.hidden = 3 is not used, but feed-forward with hidden = [2, 2]: "
+        "NNGA, layers; CMA-ES, layers",
+    ]
+    assert not any("population" in text for text in warnings), "each setting has its own"
+
+
+def test_unequal_work_is_named_and_a_budget_removes_it(tmp_path: Path) -> None:
+    warnings, _ = written(tmp_path, GRID)
+    assert "from 30 to 74 simulations a run" in warnings[-1]
+    equal = GRID.replace("repeat = 2", "repeat = 2\nbudget = { evaluations = 300 }")
+    warnings, cells = written(tmp_path, equal)
+    assert warnings == []
+    assert {cell.effort.evaluations for cell in cells} <= {*range(290, 301)}
+    assert total(cells, 2).startswith("8 runs, ")
+    known = as_objects(cells)
+    assert known[0]["setting"] == "NNGA, meshed"
+    assert known[2]["differing"]["optimizer"] == "cmaes"
+
+
+def test_a_run_with_a_budget_has_room_for_generations(tmp_path: Path) -> None:
+    """How many candidates a generation has may change on the way."""
+    text = GRID.replace("repeat = 2", "repeat = 2\nbudget = { simulations = 300 }")
+    loaded = experiment.load(small(tmp_path, text))
+    planned, cells = checked_plan(experiment.complete(loaded, "x"), "x", {})
+    for one, cell in zip(planned[: len(cells)], cells, strict=True):
+        assert cell.effort.generations < one.experiment.generations <= 300
+        assert one.experiment.stop.simulations == 300

@@ -1,0 +1,80 @@
+"""Compare groups of recorded runs by what the user names."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from zswarm.ot.analysis import comparison, curves, effect_size, measure
+from zswarm.ot.analysis.comparison import By, Comparison
+from zswarm.ot.analysis.effect_size import Friedman
+from zswarm.ot.analysis.figures import EACH
+from zswarm.ot.analysis.grouping import flat
+from zswarm.ot.analysis.measure import SEARCH
+from zswarm.ot.record.reader import Run
+
+PROBLEM = "problem."
+
+
+def compare(groups: Mapping[str, Sequence[Run]], by: By, of: str) -> Comparison:
+    """Compare groups.
+
+    Args:
+        of: ``search``, ``held-out``, ``fitness`` or a metric.
+
+    Raises:
+        ConfigError: runs cannot be compared, or have no such number.
+    """
+    if of == SEARCH:
+        loaded, notes = curves.load(groups)
+        return comparison.of_series(loaded, by, notes)
+    values, counted, left_out = measure.values(groups, of)
+    loaded, notes = curves.load(counted)
+    if any(len(loaded[group]) != len(members) for group, members in counted.items()):
+        counted = {
+            group: curves.distinct(members)[0] for group, members in counted.items()
+        }
+        values, _, _ = measure.values(counted, of)
+    return comparison.of_values(values, loaded, measure.words(of), [*left_out, *notes])
+
+
+def numbers(
+    groups: Mapping[str, Sequence[Run]], of: str
+) -> tuple[dict[str, np.ndarray], str]:
+    """Return one number of each run by group, and what it is."""
+    if of != SEARCH:
+        values, _, _ = measure.values(groups, of)
+        return values, measure.words(of)
+    loaded, _ = curves.load(groups)
+    started = curves.started(loaded)
+    return (
+        {
+            name: np.array([run.best[-1] for run in runs])
+            for name, runs in started.items()
+        },
+        f"best fitness, {EACH}",
+    )
+
+
+def over_problems(
+    groups: Mapping[str, Sequence[Run]], found: Comparison
+) -> Friedman | None:
+    """Rank methods over the problems of a comparison; None if there are too few."""
+    medians: dict[str, dict[str, float]] = {}
+    rows = {row.group: row for row in found.rows}
+    names: dict[str, str] = {}
+    for group, members in groups.items():
+        if group not in rows:
+            continue
+        values = flat(members[0].experiment)
+        problem = {key: value for key, value in values.items() if key.startswith(PROBLEM)}
+        method = repr(
+            sorted((key, value) for key, value in values.items() if key not in problem)
+        )
+        names.setdefault(method, group)
+        median = rows[group].median
+        row = medians.setdefault(repr(sorted(problem.items())), {})
+        row[method] = -np.inf if median is None else median
+    ranked = effect_size.friedman(medians)
+    if ranked is None:
+        return None
+    return ranked._replace(ranks={names[key]: rank for key, rank in ranked.ranks.items()})
