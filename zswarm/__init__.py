@@ -18,7 +18,7 @@ __version__ = VERSION
 
 if TYPE_CHECKING:
     from zswarm.api import connect, load, problem, read, resume, run, start, study
-    from zswarm.controller import Controller, Driver, HeldOut
+    from zswarm.controller import Controller, Driver, HeldOut, Tracked
     from zswarm.errors import (
         ConfigError,
         EvaluationError,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from zswarm.ot.notes import Note
     from zswarm.ot.problem import Problem
     from zswarm.ot.record.reader import Run
-    from zswarm.results import compare, plot, tidy
+    from zswarm.results import Compared, compare, plot, tidy
     from zswarm.sims.randomized import drawn
 
 __all__ = [
@@ -65,10 +65,11 @@ __all__ += [
     "HeldOut",
     "Logger",
 ]
-__all__ += ["Note", "Problem", "Result", "Run", "Started", "drawn"]
+__all__ += ["Compared", "Note", "Problem", "Result", "Run", "Started", "Tracked", "drawn"]
 
 _HOME = {
     "CandidateOutcomes": "ot.evaluator",
+    "Compared": "results",
     "Connection": "ot.cluster.connection",
     "Controller": "controller",
     "Driver": "controller",
@@ -82,6 +83,7 @@ _HOME = {
     "Result": "ot.logger",
     "Run": "ot.record.reader",
     "Started": "ot.logger",
+    "Tracked": "controller",
     "compare": "results",
     "drawn": "sims.randomized",
     "plot": "results",

@@ -14,7 +14,10 @@ from tests.robots.controllers import KINDS, controller, named, observed
 from zswarm.robots.json_file import as_json
 
 PAGE = REPOSITORY / "docs" / "export.md"
-LISTS = ("fully-meshed", "hebbian", "ctrnn", "feed-forward", "three-layer")
+LISTS = (
+    *("fully-meshed", "hebbian", "ctrnn", "feed-forward", "three-layer"),
+    "chocolate",
+)
 
 
 def read(

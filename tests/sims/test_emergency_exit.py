@@ -504,7 +504,7 @@ def test_the_defaults_are_frevos_and_the_stadium_has_its_own_sizes() -> None:
         ({"exits": 0}, "problem.settings: exits: expected int >= 1"),
         ({"steps": 0}, "problem.settings: steps: expected int >= 1"),
         ({"steps": 5.5}, "problem.settings: steps: expected int, got float"),
-        ({"seed": -1}, "problem.settings: seed: expected int >= 0"),
+        ({"seed": -2}, "problem.settings: seed: expected int >= -1"),
         ({"seed": 2**48}, "problem.settings: seed: expected int <= 281474976710655"),
         (
             {"field": "maze"},

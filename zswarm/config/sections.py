@@ -238,7 +238,7 @@ class RecordConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 class StopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """``[stop]``: when a run ends before its last generation, judged after each generation.
 
-    0, and no fitness: no such limit.
+    0, and the fitness "none": no such limit.
     """
 
     evaluations: Annotated[
@@ -254,9 +254,9 @@ class StopConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         int, within(0, 1_000_000_000_000, "likewise, in simulations: trials, or games")
     ] = 0
     fitness: Annotated[
-        float | None,
+        float | Literal["none"],
         about("end once a candidate has this fitness, as the mean of its trials"),
-    ] = None
+    ] = "none"
     stagnation: Annotated[
         int,
         within(0, 1_000_000_000, "end after this many generations without a better one"),

@@ -52,7 +52,7 @@ def build(complete: Experiment) -> Parts:
             "genomes again"
         )
     stop = complete.stop
-    if problem.ranking.relative and (stop.fitness is not None or stop.stagnation):
+    if problem.ranking.relative and (stop.fitness != "none" or stop.stagnation):
         raise ConfigError(
             "stop: fitness and stagnation need fitness that compares between generations; scores "
             f"of {complete.ranking.kind} do not"

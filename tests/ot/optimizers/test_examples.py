@@ -171,13 +171,15 @@ def test_a_network_without_memory_balances_a_pole() -> None:
 
 @pytest.mark.long
 def test_the_baseline_has_the_documented_medians() -> None:
-    """The medians in the comment of the example."""
+    """The medians in the comment of the example: whole generations within its budget."""
     told = {
         kind: [
-            best("baseline", [f"seed={seed}", f'optimizer={{kind="{kind}"}}'])
+            best(
+                "baseline", [f"seed={seed}", f'optimizer={{kind="{kind}"}}'], evaluations
+            )
             for seed in range(1, 11)
         ]
-        for kind in ("random", "nnga")
+        for kind, evaluations in (("random", 2206), ("nnga", 2233))
     }
-    assert np.median(told["random"]) == pytest.approx(-187, abs=0.5)
+    assert np.median(told["random"]) == pytest.approx(-192, abs=0.5)
     assert np.median(told["nnga"]) == pytest.approx(0.34, abs=0.005)

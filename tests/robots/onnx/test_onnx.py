@@ -32,6 +32,8 @@ GROWING = 1e-2  # with relu nothing bounds the outputs of a recurrent network
 LARGEST = 1e30  # beyond it a sum may leave float32 in one order and not in another
 TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
+KNOWN = [kind for kind in KINDS if kind[0] != "chocolate"]
+
 
 class Running:
     """A model in onnxruntime, with its memory."""
@@ -86,7 +88,7 @@ def compare(kind: tuple[str, dict[str, Any]], seed: int, steps: int) -> None:
     assert len(acted) > 1
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=named)
+@pytest.mark.parametrize("kind", KNOWN, ids=named)
 def test_a_model_decides_like_the_network_within_the_tolerance(
     kind: tuple[str, dict[str, Any]],
 ) -> None:
@@ -95,7 +97,7 @@ def test_a_model_decides_like_the_network_within_the_tolerance(
 
 @pytest.mark.robots
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("kind", KINDS, ids=named)
+@pytest.mark.parametrize("kind", KNOWN, ids=named)
 def test_a_model_stays_within_the_tolerance_for_a_thousand_steps(
     kind: tuple[str, dict[str, Any]], seed: int
 ) -> None:
@@ -158,7 +160,8 @@ def test_a_plugins_network_is_refused_in_one_line(
     monkeypatch.setattr(Other, "__abstractmethods__", frozenset())
     with pytest.raises(
         ConfigError,
-        match="knows the bundled networks, not Other; python and c99 may know it",
+        match=r"knows the bundled networks except chocolate, .* not this Other; python and "
+        "c99 may know it",
     ):
         onnx_networks.memory(Other(msgspec.defstruct("S", [])(), 1, 1))
 

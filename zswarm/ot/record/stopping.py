@@ -59,8 +59,9 @@ class StopWatch:
         if stop.simulations and self._simulations + last.simulations > stop.simulations:
             used = f"{self._simulations:,} of {plural(stop.simulations, 'simulation')}"
             return f"the budget is used: {used}"
-        if stop.fitness is not None and self._best / self._trials >= stop.fitness:
-            return f"a candidate has the fitness {stop.fitness:g} that was asked for"
+        wanted = stop.fitness
+        if wanted != "none" and self._best / self._trials >= wanted:
+            return f"a candidate has the fitness {wanted:g} that was asked for"
         if stop.stagnation and self._stagnant >= stop.stagnation:
             return f"{plural(self._stagnant, 'generation')} found nothing better"
         if stop.seconds and self._seconds >= stop.seconds:
