@@ -310,12 +310,13 @@ def test_csv_and_json_are_not_mixed_on_stdout(study: Path, name: str) -> None:
 
 def test_compare_as_csv_is_the_table(study: Path) -> None:
     said = invoke("compare", study, "--csv", "-").splitlines()
-    assert (
-        said[0]
-        == '"group","runs","median","q25","q75","best","worst","evaluations","seconds",'
-        '"held_out"'
+    assert said[0].startswith(
+        '"what","group","runs","median","q25","q75","best","worst","evaluations",'
+        '"seconds","held_out",'
     )
-    assert said[1].startswith('"hidden 1",4,1.1875,1.09375,1.28125,1.375,1.0,6.0,')
+    assert said[1].startswith(
+        '"group","hidden 1",4,1.1875,1.09375,1.28125,1.375,1.0,6.0,'
+    )
 
 
 def test_reading_does_not_change_the_runs(study: Path) -> None:
@@ -350,6 +351,13 @@ def test_the_numbers_are_written_even_without_matplotlib(
         invoke("plot", study, "-o", study / "x.png", "--csv", study / "x.csv")
     assert (study / "x.csv").read_text().startswith('"group",')
     assert not (study / "x.png").exists()
+
+
+def test_numbers_of_boxes_are_refused_with_where_they_are(study: Path) -> None:
+    with pytest.raises(
+        ConfigError, match=r"--csv has the numbers of curves; .*compare --csv"
+    ):
+        invoke("plot", study, "--as", "box", "--csv", "-")
 
 
 def test_a_figure_and_a_page_are_named_after_what_they_show(

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from zswarm.errors import ConfigError
 from zswarm.ot.commands.shared import options
 from zswarm.ot.commands.shared.options import SEARCH
 from zswarm.ot.display import tables
@@ -110,22 +111,27 @@ def command(
     output = output or Path(f"{name}.pdf")
     figures.format_of(output)
     skipped: list[str] = []
-    figures.plain_style()
     groups = grouping.renamed(grouping.groups(runs_below(paths, skipped)), labels)
     if shape != "curves" or measure != SEARCH:
+        if csv:
+            raise ConfigError(
+                "--csv has the numbers of curves; of runs: zswarm-ot compare --csv"
+            )
         shape = "box" if shape == "curves" else shape
+        figures.plain_style()
         figure = _figure(
             groups, shape, measure, SIZES[size]._replace(file=style or ""), title
         )
         figures.save(figure, output)
         drawn = {group: len(members) for group, members in groups.items()}
-        _report(output, drawn, as_json=as_json, stderr=csv == "-")
+        _report(output, drawn, as_json=as_json, stderr=False)
         return
     loaded, notes = curves.load(groups)
     for note in [*skipped, *notes, *curves.cut(loaded, axis)]:
         tables.line(note, stderr=True)
     if csv:
         spreadsheet.save(csv, *figures.table(loaded, axis))
+    figures.plain_style()
     figure = figures.of_series(
         loaded, axis, size, title, lowest, style or "", noted=noted
     )
