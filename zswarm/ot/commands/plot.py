@@ -117,12 +117,9 @@ def command(
             raise ConfigError(
                 "--csv has the numbers of curves; of runs: zswarm-ot compare --csv"
             )
-        shape = "box" if shape == "curves" else shape
+        look = SIZES[size]._replace(file=style or "")
         figures.plain_style()
-        figure = _figure(
-            groups, shape, measure, SIZES[size]._replace(file=style or ""), title
-        )
-        figures.save(figure, output)
+        figures.save(_figure(groups, shape, measure, look, title), output)
         drawn = {group: len(members) for group, members in groups.items()}
         _report(output, drawn, as_json=as_json, stderr=False)
         return
