@@ -209,8 +209,8 @@ class Search:
 
     def __init__(self, run: Run) -> None:
         from zswarm import experiment
+        from zswarm.ot.assessment.seen_seeds import SeenSeeds
         from zswarm.ot.build import build
-        from zswarm.ot.seen_seeds import SeenSeeds
 
         task = TASKS[run.task]
         changes = [*task.changes, *MODES[run.mode], f"seed={run.seed}"]

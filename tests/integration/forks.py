@@ -166,6 +166,7 @@ def play(task: dict[str, Any]) -> None:
                     # Results came in one message; the next generation is on its way.
                     os.kill(os.getpid(), signal.SIGKILL)
                 if generation.generation == 0:
+                    assert run.run, "waits until the generation is recorded"
                     wait_until(
                         lambda: connection.slots == len(servers), "all servers are ready"
                     )

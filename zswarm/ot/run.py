@@ -12,6 +12,7 @@ from zswarm.config.decode import to_json
 from zswarm.config.sections import StopConfig
 from zswarm.controller import HeldOut
 from zswarm.ot.assessment.contest import Contest
+from zswarm.ot.assessment.seen_seeds import SeenSeeds
 from zswarm.ot.assessment.track import Track
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster.connection import Connection
@@ -26,11 +27,10 @@ from zswarm.ot.notes import Note, RunEvent, words
 from zswarm.ot.record import stopping
 from zswarm.ot.record.history_hash import VERSION as HISTORY_VERSION
 from zswarm.ot.record.packing import PackedState
+from zswarm.ot.record.retelling import retell, timed
 from zswarm.ot.record.schema import ASSESSMENT
 from zswarm.ot.record.stopping import Spent, StopWatch
 from zswarm.ot.record.writer import Record
-from zswarm.ot.retelling import retell, timed
-from zswarm.ot.seen_seeds import SeenSeeds
 from zswarm.ot.workload import Workload
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import messages

@@ -12,13 +12,13 @@ from tests.ot.cluster.fake_connection import result
 from zswarm import experiment
 from zswarm.controller import load_controller
 from zswarm.ot import run
+from zswarm.ot.assessment.seen_seeds import SeenSeeds
 from zswarm.ot.build import build
 from zswarm.ot.logger import Logger
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.run_index import summary
 from zswarm.ot.record.writer import Record
-from zswarm.ot.seen_seeds import SeenSeeds
 from zswarm.plugins import registry
 
 MEASURED = {"measures": ["rounds", "escaped"]}
