@@ -126,8 +126,11 @@ def run(folder: Path, *capacities: int, kill: bool = False) -> dict[str, Any]:
     assert len(died) == kill
     assert all("the simulation was killed by signal 9" in reason for reason in died)
     assert query(folder / "runs" / "stage", "SELECT count(*) FROM generations") == [(10,)]
-    started = map(int, (folder / "started").read_text().split())
-    assert not any(Path(f"/proc/{process}").exists() for process in started)
+    started = [Path("/proc", pid) for pid in (folder / "started").read_text().split()]
+    wait_until(
+        lambda: not any(map(Path.exists, started)),
+        "no Stage is left of what the servers ended",
+    )
     return done
 
 
