@@ -50,6 +50,14 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
         "needs a file of FREVO's",
         "tests/ot/commands/shared/test_frevo.py",
     ),
+    (
+        "commands.md",
+        "$ zswarm-ot import gen_last_1_champ --set problem.settings.mission=foraging",
+    ): ("needs a file of ARGoS's", "tests/robots/argos/test_argos.py"),
+    ("studies.md", "zswarm-ot run methods.toml"): (
+        "has the tutorial's study, which is run there",
+        "tests/docs/test_docs_commands.py",
+    ),
     ("tutorial.md", "python3 -m venv ~/zswarm"): (INSTALLS, ".ci/run"),
     ("dashboard.md", "*"): (
         "is looked at in a browser",
