@@ -538,6 +538,8 @@ def rebuilt(wheel: Path, version: str, line: str) -> Path:
             body = old.read(entry)
             if entry.filename.endswith(".dist-info/METADATA"):
                 body = body.replace(b"Version: 0.1.0", b"Version: " + version.encode())
+            if entry.filename == "zswarm/system/version.py":
+                body = body.replace(b"0.1.0", version.encode())
             if entry.filename == "zswarm/evaluate.py":
                 body += line.encode()
             new.writestr(entry.filename.replace("0.1.0", version), body)
