@@ -70,7 +70,7 @@ def test_the_keyboard_controls_the_player(page: Page, tmp_path: Path) -> None:
     page.keyboard.press("+")
     assert page.get_by_role("combobox", name="speed").input_value() == "2"
     page.keyboard.press("]")
-    expect(page.get_by_role("heading", name="agent 2")).to_be_visible()
+    expect(page.get_by_role("heading", name="agent 1")).to_be_visible()
     page.keyboard.press("t")
     expect(page.get_by_role("checkbox", name="trails")).to_be_checked()
     page.keyboard.press(" ")
@@ -134,7 +134,7 @@ def test_a_touch_selects_an_agent(browser: Browser, tmp_path: Path) -> None:
         box["x"] + body.x / frame.width * box["width"],
         box["y"] + body.y / frame.height * box["height"],
     )
-    expect(page.get_by_role("heading", name="agent 3")).to_be_visible()
+    expect(page.get_by_role("heading", name="agent 2")).to_be_visible()
     page.touchscreen.tap(box["x"] + 3, box["y"] + 3)
     expect(page.get_by_role("heading", name="no agent chosen")).to_be_visible()
     context.close()
