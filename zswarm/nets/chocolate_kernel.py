@@ -83,7 +83,7 @@ def explore(parameter, state, x, y, seed):
     elif x >= 0.0 and sqrt(x * x + y * y) >= NEAR:
         steps = int(seed / np.float64(MODULUS) * parameter)
         state[TURNS] = np.float32(max(steps, 1))
-        state[LEFTWARDS] = np.float32(1 if y < 0.0 else 0)
+        state[LEFTWARDS] = np.float32(1.0 if y < 0.0 else 0.0)
     return turn
 
 
@@ -155,14 +155,17 @@ def step(parameters, state, observation, output):
         left = 0.0
         right = 0.0
     else:
-        source = LIGHT if behaviour <= ANTI_PHOTOTAXIS else ATTRACTED
-        factor = 1.0
+        source = ATTRACTED
+        if behaviour <= ANTI_PHOTOTAXIS:
+            source = LIGHT
         if behaviour == ANTI_PHOTOTAXIS:
             factor = -1.0
         elif behaviour == ATTRACTION:
             factor = parameter
         elif behaviour == REPULSION:
             factor = -parameter * parameter
+        else:
+            factor = 1.0
         away = 6.0 if behaviour == ATTRACTION else 5.0
         x = factor * along(observation, source) - away * x
         y = factor * across(observation, source) - away * y

@@ -58,9 +58,10 @@ def total_of(parameters, state, observation, of, link):  # type: ignore[no-untyp
     inputs = observation.shape[0]
     total = 0.0
     reached = False
+    at = link
     for _link in range(int(parameters[of])):
-        source = int(parameters[link])
-        weight = load_double(parameters, link + 1)
+        source = int(parameters[at])
+        weight = load_double(parameters, at + 1)
         if source < inputs:
             value = np.float64(observation[source])
             reached = True
@@ -68,7 +69,7 @@ def total_of(parameters, state, observation, of, link):  # type: ignore[no-untyp
             value = load_double(state, 3 * (source - inputs))
             reached = reached or value != 0.0
         total += value * weight
-        link += PER_LINK
+        at += PER_LINK
     bias = load_double(parameters, of + 1)
     total += -1.0 * bias
     return total, reached or bias != 0.0
