@@ -218,6 +218,8 @@ def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(
         "problem.seeds=fresh",
         "--set",
         "problem.settings.steps=50",
+        "--set",
+        "problem.settings.seed=-1",
         "--servers",
         "local",
     ]

@@ -134,7 +134,10 @@ def test_repeat_is_an_option_and_the_result_is_printed(tmp_path: Path) -> None:
     optimizer = Optimizer(tmp_path, "ot", ["run", write(tmp_path, ""), "--repeat", "3"])
     assert optimizer.wait() == 0, optimizer.err.read_text()
     told, out = optimizer.err.read_text().splitlines(), optimizer.out.read_text()
-    assert told[0] == "sweep, 3 runs: 1 slot of this machine"
+    assert told[:2] == [
+        "in all: 3 runs, 150 evaluations, 600 simulations",
+        "sweep, 3 runs: 1 slot of this machine",
+    ]
     assert [line.split("  ")[0] for line in told if " of 3)" in line] == [
         "seed-3",
         "seed-4",
