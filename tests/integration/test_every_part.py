@@ -141,6 +141,7 @@ ONCE = [
     Parts("arena", "ctrnn", "cmaes"),
     Parts("crowds", "fully-meshed", "cma-me"),  # settings differ by trial
     Parts("inverted-pendulum", "feed-forward", "pso"),
+    Parts("arena", "chocolate", "pso"),
     Parts("light", "three-layer", "cuckoo"),
     Parts("simplified-emergency-exit", "bulk", "openai-es"),
     Parts("maze", "mealy", "novelty"),
