@@ -98,19 +98,37 @@ def test_the_first_thread_of_a_process_may_end() -> None:
     assert done.stdout == "[] []\n"
 
 
-def test_threads(look_from_now: Begin) -> None:
-    look = look_from_now()
-    done = threading.Event()
-    threads = [threading.Thread(target=done.wait) for _ in range(2)]
-    threads[0].start()
-    assert look() == ["1 thread running"]
-    threads[1].start()
-    assert look() == ["2 threads running"]
-    two = look_from_now()
-    done.set()
-    for thread in threads:
-        thread.join()
-    assert two() == [], "threads may end"
+THREADS = """
+import sys, threading
+from zswarm.system.process_state import StateWatch, left_behind, process_state
+
+def whole():
+    before = process_state()
+    return lambda: left_behind(before)
+
+look_from_now = {"whole": whole, "often": lambda: StateWatch().left_behind}[sys.argv[1]]
+look = look_from_now()
+done = threading.Event()
+threads = [threading.Thread(target=done.wait) for _ in range(2)]
+threads[0].start()
+print(*look())
+threads[1].start()
+print(*look())
+two = look_from_now()
+done.set()
+for thread in threads:
+    thread.join()
+print(two())
+"""
+
+
+@pytest.mark.parametrize("way", ["whole", "often"])
+def test_threads(way: str) -> None:
+    """In a process of their own: threads of other tests may end meanwhile. Threads may end."""
+    done = subprocess.run(
+        [sys.executable, "-c", THREADS, way], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines() == ["1 thread running", "2 threads running", "[]"]
 
 
 SOFT, HARD = resource.getrlimit(resource.RLIMIT_NOFILE)
