@@ -15,16 +15,11 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.conftest import Dashboard
+from tests.integration.programs import free_port
 
 pytestmark = pytest.mark.browser
 
 SLOW_MS = 60_000  # that a program may take to start, and a server to get ready
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def wait_until_somebody_listens(port: int) -> None:

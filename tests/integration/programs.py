@@ -1,7 +1,9 @@
 """Servers and optimizers as real processes on loopback, with deadlines instead of sleeps."""
 
+import contextlib
 import json
 import os
+import secrets
 import signal
 import socket
 import sqlite3
@@ -17,9 +19,12 @@ NO_PICTURES = "import sys\nsys.modules['matplotlib'] = None\n"
 
 
 def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """Return one that the kernel gives to no outgoing connection of another test meanwhile."""
+    while True:
+        port = 10_000 + secrets.randbelow(20_000)
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
 
 
 def wait_until(

@@ -1,6 +1,5 @@
 """The optimizer's shell around its state machine, against sessions on loopback."""
 
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 import zenoh
 
+from tests.integration.programs import free_port
 from tests.ot.cluster.dispatching import terms
 from zswarm import session
 from zswarm.config.sections import ClusterConfig
@@ -48,12 +48,6 @@ LEASE = Lease(
 
 def no_dispute(dispute: object, _: object) -> NoReturn:
     raise AssertionError(f"one server cannot differ: {dispute}")
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def wait_until(condition: Callable[[], bool], what: str) -> None:
