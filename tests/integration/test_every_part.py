@@ -237,10 +237,12 @@ def partners(problem: str, representation: str) -> list[Parts]:
     ]
     if problem in SOME or os.environ.get("EVERY_PART"):
         return fitting
+    optimizers = list(dict.fromkeys(parts.optimizer for parts in fitting))
     begin = list(PROBLEMS).index(problem) + [*plugins.BUNDLED["representation"]].index(
         representation
     )
-    return fitting[begin % SHARE :: SHARE]
+    chosen = optimizers[begin % min(SHARE, len(optimizers)) :: SHARE]
+    return [parts for parts in fitting if parts.optimizer in chosen]
 
 
 @pytest.mark.product

@@ -164,9 +164,11 @@ def test_a_hanging_simulation_is_a_fault_and_the_run_continues(tmp_path: Path) -
         )
         os.kill(nodes()[0], signal.SIGSTOP)
         done = optimizer.done()
-        (died,) = server.events("slot_died")
-    assert re.search(
-        r"no scan and pose of robot [01, ]+ at [\d.]+ s within 2 s \(deadline_s\)",
-        died["reason"],
-    )
+        deaths = server.events("slot_died")  # more where the machine is overloaded
+    assert deaths
+    for died in deaths:
+        assert re.search(
+            r"no scan and pose of robot [01, ]+ at [\d.]+ s within 2 s \(deadline_s\)",
+            died["reason"],
+        )
     assert done["history_hash"] == expected
