@@ -83,8 +83,8 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
     ): ("needs ROS 1, and robots that answer", "tests/robots/test_packages_drive.py"),
     (
         "ros.md",
-        "sudo apt install cmake g++ catkin ros-core rosbash libroscpp-dev libtf-dev "
-        "libgeometry-msgs-dev libsensor-msgs-dev libnav-msgs-dev \\",
+        "sudo apt install git cmake g++ libfltk1.3-dev fluid libjpeg-dev libpng-dev "
+        "libltdl-dev libglu1-mesa-dev",
     ): (INSTALLS, "tests/ros/stage/build.sh"),
     ("ros.md", ". ~/stage/setup.sh"): (
         "needs Stage",
