@@ -1,5 +1,6 @@
 """``zswarm-ot run``: evolve a controller."""
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -7,16 +8,20 @@ import click
 
 from zswarm import experiment
 from zswarm.config.sections import MAX_RUNS
-from zswarm.experiment import LAST_SEED
+from zswarm.errors import ConfigError
+from zswarm.experiment import LAST_SEED, Experiment
 from zswarm.ot.commands.shared import options, suggestions
+from zswarm.system.text import clean
 
 MENU = ("Evolve", 1)
+EXAMPLE = "stadium"  # that is run if none is named
+SEARCH_S = 1.0  # for servers that such a run does not use
 
 
 @click.command("run")
 @click.argument(
     "name",
-    default="emergency-exit",
+    required=False,
     metavar="[EXPERIMENT.toml|EXAMPLE]",
     shell_complete=suggestions.experiments,
 )
@@ -36,7 +41,7 @@ MENU = ("Evolve", 1)
 @options.dashboard_option
 @options.json_lines_option
 def command(
-    name: str,
+    name: str | None,
     overrides: tuple[str, ...],
     seed: int | None,
     generations: int | None,
@@ -50,8 +55,8 @@ def command(
 ) -> None:
     """Evolve a controller.
 
-    The experiment is a file, or an example by name (zswarm-ot list); by default it is the built-in
-    example.
+    The experiment is a file, or an example by name (zswarm-ot list). Without one, the example
+    stadium is run on this machine only, unless an option is about servers.
 
     \b
       zswarm-ot run stadium
@@ -66,12 +71,15 @@ def command(
     from zswarm.ot.commands.shared import playing
     from zswarm.ot.display.progress import display
 
-    path = experiment.find(name)
+    path = experiment.find(name or EXAMPLE)
     given = {"seed": seed, "generations": generations, "study.repeat": repeat}
     given |= {"optimizer.population": population, "problem.trials": trials}
     more = [f"{key}={value}" for key, value in given.items() if value is not None]
     with options.blamed(overrides, path):
         loaded = options.with_cluster(experiment.load(path, [*overrides, *more]), cluster)
+    chosen = any(key.startswith("cluster.") for key in overrides)
+    if name is None and not chosen and not any(cluster.values()):
+        loaded = on_this_machine(loaded)
     errors = options.blamed(overrides, path)
     with playing.figures() as folders, Connection(loaded.cluster) as connection, errors:
         if loaded.study.runs() > 1 or loaded.study.varies():
@@ -92,3 +100,20 @@ def command(
         with evolution.start(loaded, str(path), out, connection, logger) as run:
             folders.append(run.folder)
             playing.finish(run, logger, with_dashboard=with_dashboard)
+
+
+def on_this_machine(loaded: Experiment) -> Experiment:
+    """Return an experiment that uses this machine only; name the servers that it would find."""
+    from zswarm.ot.cluster import discovery
+    from zswarm.ot.cluster.connection import Connection
+    from zswarm.system.format import plural
+
+    found = []
+    with contextlib.suppress(ConfigError):  # keys that cannot be used: it needs none
+        reach = Connection(loaded.cluster).reach
+        found = discovery.names(loaded.cluster.realm, reach, wait_s=SEARCH_S)
+    if found:
+        servers = f"{plural(len(found), 'server')} found: {', '.join(map(clean, found))}"
+        hint = "to use other machines, too: zswarm-ot run --servers auto"
+        click.echo(f"{servers}; {hint}", err=True)
+    return options.with_cluster(loaded, {"servers": "local"})
