@@ -202,8 +202,7 @@ class Connection:
         asked = terms(experiment, options, simulator, program, **run_of)
         hosted = problem.representation, simulator.participants
         controllers = RemoteControllers(*hosted) if asked.reserve.asks else None
-        name = experiment.problem.simulator
-        check = functools.partial(self._check, stop)
+        name, check = experiment.problem.simulator, functools.partial(self._check, stop)
         watch = Watch(options, name, local, self._hinted, say, wait, check)
         cluster = Cluster(
             RunKey(options.realm, self._user(), run),
