@@ -2,7 +2,7 @@
 
 import contextlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,6 +10,9 @@ from zswarm.errors import ConfigError
 from zswarm.ot.commands.shared import options, suggestions
 from zswarm.system.format import plural
 from zswarm.system.text import clean
+
+if TYPE_CHECKING:
+    from zswarm.ot.logger import Logger, Result
 
 MENU = ("Evolve", 2)
 
@@ -36,12 +39,14 @@ MENU = ("Evolve", 2)
 )
 @options.cluster_options
 @options.dashboard_option
+@options.detach_option
 @options.json_lines_option
 def command(
     folder: Path,
     generation: int | None,
     trusted: tuple[str, ...],
     with_dashboard: bool,
+    detach: bool,
     as_json: bool,
     **cluster: Any,
 ) -> None:
@@ -55,10 +60,14 @@ def command(
       zswarm-ot resume runs/stadium --from 13
       zswarm-ot resume runs/stadium --trust lab-02
     """
+    from zswarm.ot.commands.shared import detaching
+
+    # Before it starts threads or other processes.
+    settle = detaching.detach(wanted=detach, as_json=as_json)
     from zswarm.ot import evolution
     from zswarm.ot.cluster.connection import Connection
     from zswarm.ot.commands.shared import playing
-    from zswarm.ot.display.progress import display, summary
+    from zswarm.ot.display.progress import display
     from zswarm.ot.record.folder import DATABASE, load_experiment
     from zswarm.ot.record.results import finished_result
     from zswarm.ot.study.study import Study, is_study
@@ -71,6 +80,7 @@ def command(
             settings = options.with_cluster(study.experiment, cluster).cluster
             opened: Any = Connection(settings) if study.left else contextlib.nullcontext()
             with opened as connection:
+                settle(folder)
                 playing.play(
                     study,
                     connection,
@@ -82,12 +92,7 @@ def command(
     complete = options.with_cluster(load_experiment(folder), cluster)
     shown = display(as_json=as_json)
     if (result := finished_result(folder, complete)) is not None:
-        more = "to evolve further, raise generations in its experiment.toml"
-        click.echo(f"{clean(str(folder))} is finished; {more}", err=True)
-        if as_json:
-            shown.on_end(result)
-        else:
-            click.echo(summary(result))
+        _show_finished(folder, result, shown, as_json=as_json)
         return
     with (
         playing.figures() as folders,
@@ -95,7 +100,21 @@ def command(
         evolution.resume(folder, connection, shown, trusted) as run,
     ):
         folders.append(run.folder)
+        settle(folder)
         playing.finish(run, shown, with_dashboard=with_dashboard)
+
+
+def _show_finished(
+    folder: Path, result: "Result", shown: "Logger", *, as_json: bool
+) -> None:
+    from zswarm.ot.display.progress import summary
+
+    more = "to evolve further, raise generations in its experiment.toml"
+    click.echo(f"{clean(str(folder))} is finished; {more}", err=True)
+    if as_json:
+        shown.on_end(result)
+    else:
+        click.echo(summary(result))
 
 
 def _refuse_study(folder: Path, option: str) -> None:

@@ -39,6 +39,7 @@ SEARCH_S = 1.0  # for servers that such a run does not use
 @options.cluster_options
 @options.out_option
 @options.dashboard_option
+@options.detach_option
 @options.json_lines_option
 def command(
     name: str | None,
@@ -50,6 +51,7 @@ def command(
     repeat: int | None,
     out: Path,
     with_dashboard: bool,
+    detach: bool,
     as_json: bool,
     **cluster: Any,
 ) -> None:
@@ -66,6 +68,10 @@ def command(
     Servers are found automatically. Ctrl-C stops the run; nothing is lost, and "zswarm-ot resume
     RUN" continues it. Afterwards "zswarm-ot evaluate RUN" plays the champion on held-out seeds.
     """
+    from zswarm.ot.commands.shared import detaching
+
+    # Before it starts threads or other processes.
+    settle = detaching.detach(wanted=detach, as_json=as_json)
     from zswarm.ot import evolution
     from zswarm.ot.cluster.connection import Connection
     from zswarm.ot.commands.shared import playing
@@ -74,11 +80,8 @@ def command(
     path = experiment.find(name or EXAMPLE)
     given = {"seed": seed, "generations": generations, "study.repeat": repeat}
     given |= {"optimizer.population": population, "problem.trials": trials}
-    more = [f"{key}={value}" for key, value in given.items() if value is not None]
-    with options.blamed(overrides, path):
-        loaded = options.with_cluster(experiment.load(path, [*overrides, *more]), cluster)
-    chosen = any(key.startswith("cluster.") for key in overrides)
-    if name is None and not chosen and not any(cluster.values()):
+    loaded = _load(path, overrides, given, cluster)
+    if name is None and not _about_servers(overrides, cluster):
         loaded = on_this_machine(loaded)
     errors = options.blamed(overrides, path)
     with playing.figures() as folders, Connection(loaded.cluster) as connection, errors:
@@ -88,6 +91,7 @@ def command(
 
             with Study.create(loaded, str(path), out) as study:
                 effort_table.announce(loaded, study.cells, study.experiment.study.repeat)
+                settle(study.folder)
                 playing.play(
                     study,
                     connection,
@@ -99,7 +103,25 @@ def command(
         logger = display(as_json=as_json)
         with evolution.start(loaded, str(path), out, connection, logger) as run:
             folders.append(run.folder)
+            settle(run.folder)
             playing.finish(run, logger, with_dashboard=with_dashboard)
+
+
+def _load(
+    path: Path,
+    overrides: tuple[str, ...],
+    given: dict[str, int | None],
+    cluster: dict[str, Any],
+) -> Experiment:
+    more = [f"{key}={value}" for key, value in given.items() if value is not None]
+    with options.blamed(overrides, path):
+        return options.with_cluster(experiment.load(path, [*overrides, *more]), cluster)
+
+
+def _about_servers(overrides: tuple[str, ...], cluster: dict[str, Any]) -> bool:
+    """Return whether an option is about servers."""
+    given = [value for value in cluster.values() if value not in (None, ())]
+    return bool(given) or any(key.strip().startswith("cluster.") for key in overrides)
 
 
 def on_this_machine(loaded: Experiment) -> Experiment:
