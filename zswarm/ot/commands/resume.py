@@ -2,7 +2,7 @@
 
 import contextlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -10,9 +10,6 @@ from zswarm.errors import ConfigError
 from zswarm.ot.commands.shared import options, suggestions
 from zswarm.system.format import plural
 from zswarm.system.text import clean
-
-if TYPE_CHECKING:
-    from zswarm.ot.logger import Logger, Result
 
 MENU = ("Evolve", 2)
 
@@ -76,18 +73,13 @@ def command(
         _go_back(folder, generation)
     if not (folder / DATABASE).exists() and is_study(folder):
         _refuse_study(folder, "--trust" if trusted else "")
+        shown_as = {"as_json": as_json, "with_dashboard": with_dashboard}
         with playing.figures() as folders, Study.open(folder) as study:
             settings = options.with_cluster(study.experiment, cluster).cluster
             opened: Any = Connection(settings) if study.left else contextlib.nullcontext()
             with opened as connection:
                 settle(folder)
-                playing.play(
-                    study,
-                    connection,
-                    folders,
-                    as_json=as_json,
-                    with_dashboard=with_dashboard,
-                )
+                playing.play(study, connection, folders, **shown_as)
         return
     complete = options.with_cluster(load_experiment(folder), cluster)
     shown = display(as_json=as_json)
@@ -104,9 +96,7 @@ def command(
         playing.finish(run, shown, with_dashboard=with_dashboard)
 
 
-def _show_finished(
-    folder: Path, result: "Result", shown: "Logger", *, as_json: bool
-) -> None:
+def _show_finished(folder: Path, result: Any, shown: Any, *, as_json: bool) -> None:
     from zswarm.ot.display.progress import summary
 
     more = "to evolve further, raise generations in its experiment.toml"

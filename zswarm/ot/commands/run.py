@@ -84,6 +84,7 @@ def command(
     if name is None and not _about_servers(overrides, cluster):
         loaded = on_this_machine(loaded)
     errors = options.blamed(overrides, path)
+    shown = {"as_json": as_json, "with_dashboard": with_dashboard}
     with playing.figures() as folders, Connection(loaded.cluster) as connection, errors:
         if loaded.study.runs() > 1 or loaded.study.varies():
             from zswarm.ot.study import effort_table
@@ -92,13 +93,7 @@ def command(
             with Study.create(loaded, str(path), out) as study:
                 effort_table.announce(loaded, study.cells, study.experiment.study.repeat)
                 settle(study.folder)
-                playing.play(
-                    study,
-                    connection,
-                    folders,
-                    as_json=as_json,
-                    with_dashboard=with_dashboard,
-                )
+                playing.play(study, connection, folders, **shown)
             return
         logger = display(as_json=as_json)
         with evolution.start(loaded, str(path), out, connection, logger) as run:
