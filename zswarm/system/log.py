@@ -64,6 +64,6 @@ def _logger() -> Any:
         wrapper_class=structlog.make_filtering_bound_logger(
             getattr(logging, _level.upper())
         ),
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+        logger_factory=lambda *_: structlog.PrintLogger(sys.stderr),
     )
     return structlog.get_logger()
