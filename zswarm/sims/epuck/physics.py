@@ -9,12 +9,12 @@ the equations.
 
 from zswarm.kernels.jit import inline, sqrt
 from zswarm.kernels.portable import cos, sin
-from zswarm.sims.epuck.contacts import (
+from zswarm.sims.epuck.contacts import FIRST, SECOND, find_contacts
+from zswarm.sims.epuck.impulses import (
     INERTIA,
     MOST_CHANGE,
     MOST_TURN,
     SUBSTEP_S,
-    find_contacts,
     solve,
 )
 from zswarm.sims.epuck.walls import first_near, is_near
@@ -54,10 +54,10 @@ def drive(world):
     for _ in range(SUBSTEPS):
         world.counts[SUBSTEP] += 1
         move(world)
-        contacts = find_contacts(world, pairs)
+        found, touching = find_contacts(world, pairs)
         pull_free(world)
-        if contacts > 0:
-            solve(world, contacts)
+        if found > 0:
+            solve(world, found, touching)
     turn(world)
 
 
@@ -92,7 +92,6 @@ def list_pairs(world):
     """
     robots = world.robots
     number = world.number
-    bodies = number + world.walls.shape[0]
     fastest = 0.0
     for robot in range(number):
         x = robots[SPEED_X, robot]
@@ -108,15 +107,17 @@ def list_pairs(world):
         x = robots[X, robot]
         y = robots[Y, robot]
         first = first_near(world, x, y, RADIUS + reach)
-        for wall in range(bodies - number - 1, first - 1, -1):
+        for wall in range(world.walls.shape[0] - 1, first - 1, -1):
             if is_near(world.walls[wall], x, y, RADIUS + reach):
-                world.pairs[found] = robot * bodies + number + wall
+                world.pairs[found, FIRST] = robot
+                world.pairs[found, SECOND] = number + wall
                 found += 1
         for other in range(number - 1, robot, -1):
             dx = robots[X, other] - x
             dy = robots[Y, other] - y
             if dx * dx + dy * dy < apart * apart:
-                world.pairs[found] = robot * bodies + other
+                world.pairs[found, FIRST] = robot
+                world.pairs[found, SECOND] = other
                 found += 1
     return found
 

@@ -7,17 +7,20 @@ import numpy as np
 from zswarm.config.meta import PartSettings, about, within
 from zswarm.sims.epuck import generated, missions, trial
 from zswarm.sims.epuck.arenas import wall_rows
-from zswarm.sims.epuck.contacts import CONTACT_COLUMNS
+from zswarm.sims.epuck.contacts import CONTACT_COLUMNS, LINK_COLUMNS
 from zswarm.sims.epuck.grey_readings import GREYS
+from zswarm.sims.epuck.impulses import BODY_COLUMNS
 from zswarm.sims.epuck.missions import MISSIONS
 from zswarm.sims.epuck.reference_models import SENSOR_NAMES
 from zswarm.sims.epuck.world import (
     ANGLE,
     BLACK,
     CARRIES,
+    CHANGE_ROWS,
     COUNTS,
     DISC,
     IMPULSE_COLUMNS,
+    LISTS,
     MEMORY_COLUMNS,
     RADIUS,
     ROBOT_ROWS,
@@ -142,10 +145,13 @@ class Epuck(Teams):
             greys=GREYS,
             robots=np.zeros((ROBOT_ROWS, number)),
             memory=np.zeros((number, MEMORY_COLUMNS)),
-            pairs=np.zeros(pairs, np.int64),
+            pairs=np.zeros((pairs, 2), np.int64),
             contacts=np.zeros((pairs + 1, CONTACT_COLUMNS)),
+            links=np.zeros((pairs, LINK_COLUMNS), np.int64),
+            bodies=np.zeros((number, BODY_COLUMNS)),
             impulses=np.zeros((pairs, IMPULSE_COLUMNS)),
-            groups=np.zeros(2 * number + pairs, np.int64),
+            lists=np.zeros((LISTS, pairs), np.int64),
+            changes=np.zeros((CHANGE_ROWS, number)),
             tally=np.zeros(missions.FIRST_CELL + missions.CELLS**2),
             counts=np.zeros(COUNTS, np.int64),
             stream=np.zeros(1, np.uint64),

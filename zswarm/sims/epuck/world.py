@@ -11,7 +11,13 @@ import numpy as np
 
 from zswarm.kernels.jit import interpreted
 from zswarm.kernels.portable import cos, sin
-from zswarm.kernels.signatures import Float64Rows, Float64s, Int64s, UInt64s
+from zswarm.kernels.signatures import (
+    Float64Rows,
+    Float64s,
+    Int64Rows,
+    Int64s,
+    UInt64s,
+)
 
 STEP_S = 0.1  # a controller decides once in each
 RADIUS = float(np.float32(0.035))
@@ -33,10 +39,7 @@ HEARD, HEARD_X, HEARD_Y = range(
     35, 38
 )  # messages of this step, and the sum of their vectors
 CARRIES, TOUCHES = range(38, 40)
-# Of the group of robots that has a robot's number, the largest changes of impulses: in the last
-# iteration, and so far in this one.
-CHANGE, CHANGES = range(40, 42)
-ROBOT_ROWS = 42
+ROBOT_ROWS = 40
 
 # ``walls``: boxes, a row for each.
 CENTRE_X, CENTRE_Y, WALL_COSINE, WALL_SINE, HALF_LENGTH, HALF_WIDTH, WALL_HEIGHT = range(
@@ -66,6 +69,14 @@ FIRST_VOTE, MEMORY_COLUMNS = 2 * MEMORY, 2 * (MEMORY + VOTES)
 # ``impulses``: of a pair, along and across the normal, and the last substep in which it touched.
 ALONG, ACROSS, TOUCHED, IMPULSE_COLUMNS = range(4)
 
+# ``lists``: robots that touch something, and those that still change; for each robot the one that
+# stands for its group, the level of its next contact, and the number of its group; for each contact
+# its level, and its place by levels; where levels start.
+TOUCHING, ACTIVE, LEADER, LEVEL, GROUPS, LEVELS, ORDER, LEVEL_STARTS, LISTS = range(9)
+
+# ``changes``: of the impulses of a group, the largest in the last iteration, and so far in this one.
+BEFORE, NOW, CHANGE_ROWS = range(3)
+
 
 class EpuckWorld(NamedTuple):
     """The settings of a problem, and the state of a trial."""
@@ -91,11 +102,13 @@ class EpuckWorld(NamedTuple):
     greys: Float64Rows  # (3, quantiles) recorded readings of a grey floor
     robots: Float64Rows  # (ROBOT_ROWS, robots)
     memory: Float64Rows  # (robots, MEMORY_COLUMNS)
-    pairs: Int64s  # that may touch in this step: robot * (robots + walls) + robot or wall
+    pairs: Int64Rows  # robot, and robot or wall, that may touch in this step
     contacts: Float64Rows  # that touch in this substep, see ``contacts``
+    links: Int64Rows  # the robots and groups of these contacts
+    bodies: Float64Rows  # the robots that touch something, see ``impulses``
     impulses: Float64Rows  # (pairs, IMPULSE_COLUMNS)
-    # The first robot of those that touch each other, for each; the robots and contacts of a group.
-    groups: Int64s
+    lists: Int64Rows  # (LISTS, pairs)
+    changes: Float64Rows  # (CHANGE_ROWS, robots)
     tally: Float64s  # the score; the counters of grid exploration
     counts: Int64s
     stream: UInt64s
