@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from zswarm.kernels.jit import inline
-from zswarm.kernels.lanes import select
+from zswarm.kernels.lanes import any_of, floor, select
 
 # exp: x = k ln 2 + r, |r| <= ln 2 / 2, and a rational approximation of exp(r) (W. J. Cody, W.
 # Waite, "Software Manual for the Elementary Functions", 1980; constants as in the public fdlibm,
@@ -228,6 +228,37 @@ def cos(x):
     k, r, tail = split_quarters(abs(x))
     y = sin_near(r, tail) if k & 1 else cos_near(r, tail)
     return -y if (k + 1) & 2 else y
+
+
+@inline
+def are_near(x):
+    """Return whether ``turned`` takes these lanes of float64 angles."""
+    return not any_of((x > FAR) | (x < -FAR) | (x != x))
+
+
+@inline
+def turned(x):
+    """Return the cosines and the sines of lanes of float64 angles, see ``are_near``."""
+    negative = x < 0.0
+    size = select(negative, 0.0 - x, x)
+    k = floor(size * PER_QUARTER + 0.5)
+    most = size - k * QUARTER_1
+    second = k * QUARTER_2
+    rest = most - second
+    lost = k * QUARTER_3 - ((most - rest) - second)
+    r = rest - lost
+    tail = (rest - r) - lost
+    quarter = k - 4.0 * floor(k * 0.25)
+    odd = (quarter == 1.0) | (quarter == 3.0)
+    sine = sin_near(r, tail)
+    cosine = cos_near(r, tail)
+    x = select(odd, sine, cosine)
+    y = select(odd, cosine, sine)
+    sign = select(negative, -1.0, 1.0)
+    return (
+        x * select((quarter == 1.0) | (quarter == 2.0), -1.0, 1.0),
+        y * select(quarter >= 2.0, 0.0 - sign, sign),
+    )
 
 
 @inline

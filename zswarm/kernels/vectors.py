@@ -367,9 +367,10 @@ def _rounded(name: str) -> Any:
     def instruction(_, x):  # numba looks at its arguments
         def generate(context, builder, signature, arguments):
             kind = context.get_value_type(signature.return_type)
-            of = kind.intrinsic_name
             if hasattr(kind, "count"):
                 of = f"v{kind.count}{kind.element.intrinsic_name}"
+            else:
+                of = kind.intrinsic_name
             function = ir.FunctionType(kind, [kind])
             called = get_or_insert_function(builder.module, function, f"llvm.{name}.{of}")
             return builder.call(called, arguments)
