@@ -10,10 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from zswarm.kernels.jit import interpreted
 from zswarm.kernels.portable import (
     FAR,
     INT_MAX,
     INT_MIN,
+    are_near,
     atan2,
     cos,
     exp,
@@ -23,6 +25,7 @@ from zswarm.kernels.portable import (
     sin,
     tanh,
     to_int,
+    turned,
 )
 from zswarm.kernels.random import Stream
 
@@ -236,6 +239,18 @@ def test_sin_and_cos_of_nonfinite_numbers_are_nan(
     function: Callable[[float], float],
 ) -> None:
     assert all(math.isnan(function(x)) for x in (math.nan, math.inf, -math.inf))
+
+
+@pytest.mark.parametrize("most", [1.0, 8.0, 1000.0, FAR])
+def test_lanes_of_angles_turn_with_the_bits_of_sin_and_cos(most: float) -> None:
+    with interpreted():
+        for lanes in Stream(4).uniform(-most, most, 800).reshape(100, 8):
+            assert are_near(lanes)
+            cosines, sines = turned(lanes)
+            assert cosines.tolist() == [cos(angle) for angle in lanes.tolist()]
+            assert sines.tolist() == [sin(angle) for angle in lanes.tolist()]
+        for far in (math.nan, math.inf, -2 * FAR):
+            assert not are_near(np.array([0.0] * 7 + [far]))
 
 
 @given(st.floats(allow_nan=False, allow_infinity=False))

@@ -107,7 +107,9 @@ def meet(world):
             dx = load(robots[X], at) - x
             dy = load(robots[Y], at) - y
             squares = dx * dx + dy * dy
-            if any_of((squares < reach * reach) & (load(world.places, at) > float(robot))):
+            if any_of(
+                (squares < reach * reach) & (load(world.places, at) > float(robot))
+            ):
                 for other in range(max(first, at), min(at + LANES, world.number)):
                     meet_one(world, robot, other, near * near)
 

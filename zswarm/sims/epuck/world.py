@@ -77,7 +77,7 @@ ALONG, ACROSS, TOUCHED, IMPULSE_COLUMNS = range(4)
 # its level, and its place by levels; where levels start.
 TOUCHING, ACTIVE, LEADER, LEVEL, GROUPS, LEVELS, ORDER, LEVEL_STARTS, LISTS = range(9)
 
-# ``changes``: of the impulses of a group, the largest in the last iteration, and so far in this one.
+# ``changes``: the largest of the impulses of a group, in the last iteration and so far in this.
 BEFORE, NOW, CHANGE_ROWS = range(3)
 
 
