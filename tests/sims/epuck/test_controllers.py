@@ -26,8 +26,9 @@ RECORDED = {
     ("grid-exploration", 16): (-299050.0, 4026.0),
 }
 T_95 = 2.776  # Student's t of four degrees of freedom: two times three runs
-MISSIONS = ("aggregation", "foraging", "gridexploration", "chocolate_aac")
-MISSIONS += ("chocolate_sca", "chocolate_spc", "chocolate_lcn", "chocolate_cfa")
+# Without SCA, whose scores differ: docs/epuck.md says by how much.
+MISSIONS = ("aggregation", "foraging", "gridexploration")
+MISSIONS += tuple(f"chocolate_{mission}" for mission in ("aac", "spc", "lcn", "cfa"))
 
 
 @cache
