@@ -33,7 +33,7 @@ ALONG_MASS, ACROSS_MASS, ALONG_NOW, ACROSS_NOW, CONTACT_COLUMNS = range(5, 10)
 FIRST, SECOND, GROUP, LINK_COLUMNS = range(4)
 
 
-@inline(counts=False, inner=True, copied=False)
+@inline(counts=False, inner=True)
 def find_contacts(world, pairs):
     """List the pairs that touch, with normals and arms; list the robots that touch something.
 

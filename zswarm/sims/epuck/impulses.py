@@ -73,7 +73,7 @@ MOTOR_X, MOTOR_Y, MOTOR_SPIN, WANTED_X, WANTED_Y, WANTED_SPIN = range(3, 9)
 BODY_COLUMNS = 16
 
 
-@inline(counts=False, inner=True, copied=False)
+@inline(counts=False, inner=True)
 def solve(world, found, touching):
     """Find the velocities of all robots that touch something."""
     robots = world.robots

@@ -106,7 +106,7 @@ def farthest(world):
     return REACH * SUBSTEPS * SUBSTEP_S * sqrt(fastest)
 
 
-@inline(counts=False, inner=True, copied=False)
+@inline(counts=False, inner=True)
 def list_pairs(world):
     """List the pairs of robots, and of robots and walls, that may touch in this step.
 

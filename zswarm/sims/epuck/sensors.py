@@ -63,6 +63,7 @@ ANGLES = np.array([PI / float(np.float32(divisor)) for divisor in DIVISORS])
 ANGLES_X, ANGLES_Y = unit_vectors(ANGLES.tolist())
 FARTHEST = 2.5  # distance / intensity at which a lamp is seen
 DECAY = 2.0  # of light, per distance / intensity
+WALL_Z = 0.08  # height of the highest wall
 GROUND_AHEAD, GROUND_ASIDE = 0.03, 0.009  # of the centre
 
 
@@ -92,7 +93,7 @@ def sense(world):
         disturb(world, GROUND + sensor, 2 * SENSORS + sensor, GROUND_NOISE)
 
 
-@inline(counts=False, inner=True, copied=False)
+@inline(counts=False, inner=True)
 def meet(world):
     """Let robots sense each other's bodies and receive each other's messages."""
     robots = world.robots
@@ -283,7 +284,11 @@ def dimmed(world, robot, dx, dy, distance):
             crossing = along - sqrt(select(near, chord, 0.0))
             if any_of(near & (crossing >= 0.0) & (crossing <= farthest)):
                 return True
-    for wall in range(world.outer_walls, world.walls.shape[0]):
+    # Where the ray is as high as a wall; the lamp may be outside of the outer walls.
+    low = WALL_Z / world.constants[LAMP_Z]
+    for wall in range(
+        first_near(world, x + low * dx, y + low * dy, 0.0), len(world.walls)
+    ):
         part = to_box(world.walls[wall], x, y, dx, dy)
         if part * world.constants[LAMP_Z] <= world.walls[wall][WALL_HEIGHT]:
             return True
