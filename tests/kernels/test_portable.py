@@ -10,22 +10,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zswarm.kernels.jit import interpreted
 from zswarm.kernels.portable import (
     FAR,
     INT_MAX,
     INT_MIN,
-    are_near,
     atan2,
     cos,
+    distances,
     exp,
     log,
+    mean,
+    norm,
+    ordered_sum,
     remainder,
     sigmoid,
     sin,
     tanh,
     to_int,
-    turned,
 )
 from zswarm.kernels.random import Stream
 
@@ -241,18 +242,6 @@ def test_sin_and_cos_of_nonfinite_numbers_are_nan(
     assert all(math.isnan(function(x)) for x in (math.nan, math.inf, -math.inf))
 
 
-@pytest.mark.parametrize("most", [1.0, 8.0, 1000.0, FAR])
-def test_lanes_of_angles_turn_with_the_bits_of_sin_and_cos(most: float) -> None:
-    with interpreted():
-        for lanes in Stream(4).uniform(-most, most, 800).reshape(100, 8):
-            assert are_near(lanes)
-            cosines, sines = turned(lanes)
-            assert cosines.tolist() == [cos(angle) for angle in lanes.tolist()]
-            assert sines.tolist() == [sin(angle) for angle in lanes.tolist()]
-        for far in (math.nan, math.inf, -2 * FAR):
-            assert not are_near(np.array([0.0] * 7 + [far]))
-
-
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_sin_is_odd_and_cos_is_even_and_both_stay_within_one(x: float) -> None:
     """This also holds for large angles, whose reduction is inaccurate."""
@@ -373,3 +362,42 @@ def test_to_int_cuts_and_saturates_as_java_does(number: float, whole: int) -> No
 @given(st.floats(allow_nan=False))
 def test_to_int_is_the_nearest_whole_number_towards_zero_in_range(number: float) -> None:
     assert to_int(number) == int(max(INT_MIN, min(INT_MAX, number)))
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int64])
+@pytest.mark.parametrize("size", [1, 2, 7, 8, 9, 128, 1000])
+def test_reductions_have_the_bits_of_a_loop(size: int, dtype: type) -> None:
+    """Compiled and in Python; numpy adds eight and more numbers in another order."""
+    numbers = (Stream(size).uniform(-1e3, 1e3, size)).astype(dtype)
+    listed = [float(number) for number in numbers]
+    added = squares = 0.0
+    for number in listed:
+        added += number
+        squares += number * number
+    for function, expected in (
+        (ordered_sum, added),
+        (mean, added / size),
+        (norm, math.sqrt(squares)),
+    ):
+        assert function(numbers) == expected
+        assert function.py_func(numbers) == expected
+
+
+def test_reductions_of_nothing() -> None:
+    empty = np.empty(0)
+    for function in (ordered_sum, ordered_sum.py_func, norm, norm.py_func):
+        assert function(empty) == 0.0
+    assert math.isnan(mean(empty))
+    assert math.isnan(mean.py_func(empty))
+
+
+def test_distances_of_all_pairs_are_rounded_once_per_operation() -> None:
+    points, others = (
+        Stream(seed).uniform(-5.0, 5.0, 14).reshape(7, 2) for seed in (1, 2)
+    )
+    expected = [
+        [math.sqrt((a - x) * (a - x) + (b - y) * (b - y)) for a, b in others.tolist()]
+        for x, y in points.tolist()
+    ]
+    for found in (distances(points, others[:5]), distances.py_func(points, others[:5])):
+        assert found.tolist() == [row[:5] for row in expected]

@@ -95,6 +95,15 @@ def test_a_robot_hides_the_lamp_as_recorded() -> None:
         assert readings(made, LIGHT) == pytest.approx(row.numbers, abs=WITHIN)
 
 
+def test_a_wall_hides_a_lamp_behind_it_from_robots_close_to_it() -> None:
+    """The ray to the lamp is higher than the wall where it comes from farther away."""
+    made = world(mission="lcn")
+    place(made, 0, 0.0, 1.18, 0.0)
+    assert readings(made, LIGHT).max() == 0.0
+    place(made, 0, 0.0, 1.1, 0.0)
+    assert readings(made, LIGHT).max() > 0.5
+
+
 def test_ground_readings_are_as_recorded() -> None:
     """Except exactly on the line of a spot, where the last bit decides."""
     made = world()

@@ -7,9 +7,10 @@ the equations.
 # mypy: disable-error-code=no-untyped-def
 # because numba infers the types of kernels.
 
+from zswarm.kernels.angles import are_near, turned
 from zswarm.kernels.jit import inline, sqrt
 from zswarm.kernels.lanes import LANES, any_of, load, select, store
-from zswarm.kernels.portable import are_near, cos, sin, turned
+from zswarm.kernels.portable import cos, sin
 from zswarm.sims.epuck.contacts import FIRST, SECOND, find_contacts
 from zswarm.sims.epuck.impulses import (
     INERTIA,
