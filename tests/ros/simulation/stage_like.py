@@ -41,13 +41,21 @@ class Connections:
             publisher.publish(message)
 
 
-class Newcomers(rospy.SubscribeListener):  # type: ignore[misc]  # found only at run time
-    """Nothing waits on a new connection."""
+class Greeter:
+    """Has a new connection of the clock begin with the present time: nothing waits on it."""
 
-    clock = Clock()
+    def __init__(self, publisher: Any) -> None:
+        self.clock = Clock()
+        self._impl, self._add = publisher.impl, publisher.impl.add_connection
+        publisher.impl.add_connection = self._greet
 
-    def peer_subscribe(self, _: Any, __: Any, publish: Any) -> None:
-        publish(self.clock)
+    def _greet(self, connection: Any) -> Any:
+        self._impl.acquire()
+        try:
+            self._impl.publish(self.clock, connection_override=connection)
+        finally:
+            self._impl.release()
+        return self._add(connection)
 
 
 class Robot:
@@ -97,9 +105,10 @@ def main() -> None:
     given = json.loads(sys.argv[1])
     rospy.set_param("/use_sim_time", True)
     rospy.init_node("stage_like", disable_signals=True)
-    connections, newcomers = Connections(given["lag_s"]), Newcomers()
+    connections = Connections(given["lag_s"])
     robots = [Robot(number, connections) for number in range(given["robots"])]
-    clock = rospy.Publisher("/clock", Clock, queue_size=10, subscriber_listener=newcomers)
+    clock = rospy.Publisher("/clock", Clock, queue_size=10)
+    greeter = Greeter(clock)
     at_work = threading.Lock()
 
     def reset(_: Any) -> Any:
@@ -118,8 +127,8 @@ def main() -> None:
             for robot in robots:
                 robot.move(given["interval_s"])
                 robot.publish(stamp)
-        newcomers.clock = Clock(clock=stamp)
-        connections.publish(clock, newcomers.clock)
+        greeter.clock = Clock(clock=stamp)
+        connections.publish(clock, greeter.clock)
         time.sleep(given["tick_s"])
 
 
