@@ -46,6 +46,7 @@ from zswarm.sims.epuck.world import (
     Y,
     unit_vectors,
 )
+from zswarm.sims.toolbox import disturbed
 
 SENSORS = 8  # of proximity, and of light
 RING = RADIUS + 0.001  # where rays of proximity sensors start
@@ -190,8 +191,7 @@ def see_walls(world, robot):
 def disturb(world, row, robot, kind):
     """Add uniform noise to a reading, and limit it to 0..1."""
     most = world.constants[kind]
-    value = world.robots[row, robot] + most * (2.0 * draw_uniform(world.stream) - 1.0)
-    world.robots[row, robot] = min(max(value, 0.0), 1.0)
+    world.robots[row, robot] = disturbed(world.robots[row, robot], most, world.stream)
 
 
 @inline(counts=False, inner=True)
