@@ -27,6 +27,8 @@ from zswarm.ot.logger import Generation, Started
 path = experiment.find("minisim")
 shown = display(as_json=False)
 shown.on_start(Started(Path("runs/minisim"), experiment.load(path, ["generations=100000"]), 0))
+shown.on_wait("lab-01-0123abcd: compiling kernel 3 of 14, once (5 s)")
+shown._progress.refresh()
 for generation in (0, 99_998):
     evaluations = 10**generation.bit_length()
     numbers = (-123.456789, -1234.56789, evaluations, 1024, 4096, {})
@@ -77,6 +79,7 @@ def test_the_line_of_a_run_is_one_line(
         re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", line) for line in re.split(r"[\r\n]+", seen)
     ]
     assert "a line" in lines
+    assert any("lab-01-0123abcd:" in line for line in lines), lines
     assert any(
         line.startswith("99999/100000 ") and "best -123.46" in line for line in lines
     ), lines
