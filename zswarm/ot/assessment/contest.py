@@ -10,6 +10,7 @@ from zswarm.controller import HeldOut
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.kernels.random import derive_seed
+from zswarm.ot.assessment import track
 from zswarm.ot.assessment.race import LEAST, Race
 from zswarm.ot.problem import Problem
 from zswarm.ot.record.digests import real
@@ -32,6 +33,7 @@ class Contest:
 
     Attributes:
         plan: a text that is equal for an assessment with the same trials.
+        budget: as given.
         round, first: the next round, and how many trials were played before it.
     """
 
@@ -44,7 +46,7 @@ class Contest:
         *,
         differ: bool,
     ) -> None:
-        self._problem, self._in_search = problem, in_search
+        self._problem, self._in_search, self.budget = problem, in_search, budget
         self._race = Race(len(genomes), budget, differ=differ)
         self._genomes = list(genomes[: self._race.candidates])
         self.round = self.first = 0
@@ -58,7 +60,7 @@ class Contest:
         trials = complete.problem.trials
         raced = complete.assessment.racing
         searched = record.trials() if raced else record.evaluations() * trials
-        budget = most_trials(problem, searched)
+        budget = 0 if unfit(problem) else budget_of(complete, searched)
         if not budget:
             return None
         found = record.contenders(complete.assessment.candidates)
@@ -118,11 +120,24 @@ def share(complete: Experiment) -> float:
     return SHARE if budget == "auto" else budget
 
 
-def most_trials(problem: Problem, trials: int) -> int:
-    """Return how many trials an assessment takes at most, after a search of some trials."""
-    complete = problem.experiment
+def budget_of(complete: Experiment, trials: int) -> int:
+    """Return the trials of an assessment after a search of some trials; 0: too few for one."""
     budget = int(share(complete) * trials)
-    return 0 if unfit(problem) or budget < LEAST else budget
+    return 0 if budget < LEAST else budget
+
+
+def trials_after(
+    complete: Experiment, trials: int, generations: int, *, fit: bool
+) -> int:
+    """Return how many trials follow a search at most: of the assessment, and of the track.
+
+    Args:
+        complete: the experiment.
+        trials, generations: of the search.
+        fit: whether candidates can be assessed, and trials may differ.
+    """
+    assessed = budget_of(complete, trials) if fit else 0
+    return assessed + track.trials(complete, generations)
 
 
 def unfit(problem: Problem) -> str:
@@ -143,12 +158,12 @@ def check(problem: Problem, candidates: int | None) -> None:
     """
     complete = problem.experiment
     budget = complete.assessment.budget
-    if (track := complete.assessment.track) and (why := unfit(problem)):
-        raise ConfigError(f"assessment: track: expected 0, not {track}: {why}")
-    if track > complete.generations:
+    if (each := complete.assessment.track) and (why := unfit(problem)):
+        raise ConfigError(f"assessment: track: expected 0, not {each}: {why}")
+    if each > complete.generations:
         raise ConfigError(
             f"assessment: track: expected at most the {complete.generations} generations, not "
-            f"{track}"
+            f"{each}"
         )
     if budget == "auto" or not budget:
         return

@@ -23,11 +23,22 @@ def generations(complete: Experiment) -> range:
     return range(each - 1, complete.generations, each) if each else range(0)
 
 
+def trials(complete: Experiment, ended: int) -> int:
+    """Return the trials of the track of a run with so many generations."""
+    each = complete.assessment.track
+    return SEEDS * (ended // each) if each else 0
+
+
 class Track:
     """The best of each k-th generation: one workload out, its outcomes in."""
 
     def __init__(self, problem: Problem, best: list[tuple[int, bytes, float]]) -> None:
         self._problem, self._best = problem, best
+
+    @property
+    def trials(self) -> int:
+        """Return how many trials it has."""
+        return SEEDS * len(self._best)
 
     @classmethod
     def of_run(cls, problem: Problem, record: Record) -> Self | None:

@@ -100,13 +100,17 @@ def _show_study(cells: "list[Cell]", complete: Experiment, e: "Explanation") -> 
     tables.line("")
     effort_table.show(cells)
     repeat = complete.study.repeat
-    simulations = repeat * sum(cell.effort.simulations for cell in cells)
+    each = [cell.effort for cell in cells]
+    simulations = repeat * sum(
+        one.simulations + one.assessment_simulations for one in each
+    )
     here = duration(simulations * e.trial_s / e.slots)
     tables.entry("in all", f"{effort_table.total(cells, repeat)}; about {here} here")
 
 
 def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
     """Yield what a line is about, and its text."""
+    from zswarm.ot.assessment import racing
     from zswarm.ot.estimate.dry_run import EXAMPLE_SERVERS, EXAMPLE_SLOTS
 
     if e.runs > 1:
@@ -149,8 +153,10 @@ def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
         "optimizer",
         f"{e.optimizer}: {first:,} candidates in the first generation{then}",
     )
-    most = "at most " if complete.assessment.racing else ""
-    work = f"{e.evaluations:,} evaluations, {most}{e.simulations:,} simulations"
+    work = f"{e.evaluations:,} evaluations, {e.simulations:,} simulations"
+    if complete.assessment.racing:
+        expected = racing.PLAYED * e.simulations
+        work += f" at most (with racing about {expected:,.0f})"
     if e.assessment_simulations:
         work += f", and {e.assessment_simulations:,} to assess the champion"
     yield "work", work
