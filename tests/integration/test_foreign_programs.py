@@ -251,7 +251,7 @@ def test_whole_runs_have_the_same_history(
     """The experiments are the examples with fewer generations."""
     trials = 10 if field == "random" else 1
     size = {
-        "generations": 12,
+        "generations": 4,
         "trials": trials,
         "population": 20,
         "settings": f'field = "{field}"\nseed = 7',

@@ -28,12 +28,14 @@ generations = 3
 [problem]
 simulator = "{simulator}"
 trials = {trials}
+settings = {settings}
 [representation]
 kind = "hebbian"
 [optimizer]
 kind = "nnga"
 population = 10
 """
+FEW_AGENTS = {"emergency-exit": "{agents = 4}"}
 COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 ASKED = '--set=cluster.controller="optimizer"'
 EACH_AGENT = '--set=cluster.messages="agent"'
@@ -43,7 +45,13 @@ def play(
     folder: Path, name: str, *options: str, simulator: str = "minisim", trials: int = 1
 ) -> Optimizer:
     file = folder / "experiment.toml"
-    file.write_text(EXPERIMENT.format(simulator=simulator, trials=trials))
+    file.write_text(
+        EXPERIMENT.format(
+            simulator=simulator,
+            trials=trials,
+            settings=FEW_AGENTS.get(simulator, "{}"),
+        )
+    )
     return Optimizer(
         folder,
         name,

@@ -16,8 +16,12 @@ from zswarm.kernels.portable import (
     INT_MIN,
     atan2,
     cos,
+    distances,
     exp,
     log,
+    mean,
+    norm,
+    ordered_sum,
     remainder,
     sigmoid,
     sin,
@@ -358,3 +362,42 @@ def test_to_int_cuts_and_saturates_as_java_does(number: float, whole: int) -> No
 @given(st.floats(allow_nan=False))
 def test_to_int_is_the_nearest_whole_number_towards_zero_in_range(number: float) -> None:
     assert to_int(number) == int(max(INT_MIN, min(INT_MAX, number)))
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int64])
+@pytest.mark.parametrize("size", [1, 2, 7, 8, 9, 128, 1000])
+def test_reductions_have_the_bits_of_a_loop(size: int, dtype: type) -> None:
+    """Compiled and in Python; numpy adds eight and more numbers in another order."""
+    numbers = (Stream(size).uniform(-1e3, 1e3, size)).astype(dtype)
+    listed = [float(number) for number in numbers]
+    added = squares = 0.0
+    for number in listed:
+        added += number
+        squares += number * number
+    for function, expected in (
+        (ordered_sum, added),
+        (mean, added / size),
+        (norm, math.sqrt(squares)),
+    ):
+        assert function(numbers) == expected
+        assert function.py_func(numbers) == expected
+
+
+def test_reductions_of_nothing() -> None:
+    empty = np.empty(0)
+    for function in (ordered_sum, ordered_sum.py_func, norm, norm.py_func):
+        assert function(empty) == 0.0
+    assert math.isnan(mean(empty))
+    assert math.isnan(mean.py_func(empty))
+
+
+def test_distances_of_all_pairs_are_rounded_once_per_operation() -> None:
+    points, others = (
+        Stream(seed).uniform(-5.0, 5.0, 14).reshape(7, 2) for seed in (1, 2)
+    )
+    expected = [
+        [math.sqrt((a - x) * (a - x) + (b - y) * (b - y)) for a, b in others.tolist()]
+        for x, y in points.tolist()
+    ]
+    for found in (distances(points, others[:5]), distances.py_func(points, others[:5])):
+        assert found.tolist() == [row[:5] for row in expected]

@@ -354,7 +354,7 @@ def test_a_seeded_generator_of_ones_own_and_caches_are_no_mistake() -> None:
             # Filled by several trials.
             self.kept += [bytes(9_000)] if len(self.kept) < 25 else []
             turn: Turn = super().reset(seed)
-            self.x[0] += np.random.default_rng(seed).uniform()
+            self.x[0] += np.random.default_rng(seed).uniform()  # portable: here only
             return turn
 
     check_simulator(Cautious)

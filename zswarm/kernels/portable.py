@@ -3,7 +3,8 @@
 ``exp`` and its like differ between numpy, numba, CPUs and C libraries in 10-40 % of float32 values.
 Here they are made of ``+ - * /`` in a fixed order, which IEEE 754 rounds the same everywhere, and
 of remainders, which are exact. Simulators, networks and exported controllers take transcendental
-functions from this file only.
+functions from this file only. ``ordered_sum`` and the functions after it replace numpy's
+reductions, which promise no order of additions.
 """
 
 # mypy: disable-error-code=no-untyped-def
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from zswarm.kernels.jit import inline
-from zswarm.kernels.lanes import select
+from zswarm.kernels.lanes import select, sqrt
 
 # exp: x = k ln 2 + r, |r| <= ln 2 / 2, and a rational approximation of exp(r) (W. J. Cody, W.
 # Waite, "Software Manual for the Elementary Functions", 1980; constants as in the public fdlibm,
@@ -330,3 +331,48 @@ def to_int(x):
     if x <= -2147483648.0:
         return INT_MIN
     return int(x)
+
+
+@inline
+def ordered_sum(numbers):
+    """Return the sum of a (n,) array, added from the first to the last, float64; 0.0 if empty."""
+    added = np.float64(0.0)
+    for index in range(numbers.shape[0]):
+        added += np.float64(numbers[index])
+    return added
+
+
+@inline
+def mean(numbers):
+    """Return the mean of a (n,) array, added in order, float64; NaN if empty."""
+    count = numbers.shape[0]
+    return ordered_sum(numbers) / count if count > 0 else np.nan
+
+
+@inline
+def norm(vector):
+    """Return the Euclidean length of a (n,) array, squares added in order, float64."""
+    squares = np.float64(0.0)
+    for index in range(vector.shape[0]):
+        squares += np.float64(vector[index]) * np.float64(vector[index])
+    return sqrt(squares)
+
+
+@inline
+def distances(points, others):
+    """Return the distance of each point of the plane to each of the others.
+
+    Args:
+        points: (n, 2): x and y, in any unit.
+        others: (m, 2), in the same unit.
+
+    Returns:
+        a new (n, m) float64 array, in that unit.
+    """
+    found = np.empty((points.shape[0], others.shape[0]))
+    for point in range(points.shape[0]):
+        for other in range(others.shape[0]):
+            dx = np.float64(others[other, 0]) - np.float64(points[point, 0])
+            dy = np.float64(others[other, 1]) - np.float64(points[point, 1])
+            found[point, other] = sqrt(dx * dx + dy * dy)
+    return found

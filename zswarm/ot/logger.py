@@ -60,6 +60,7 @@ class Result(NamedTuple):
     # 32 hex digits: of the history and the assessment after it.
     assessment_hash: str = ""
     trials: int = 1  # of a candidate: fitness is their sum; 1 for scores
+    repeatable: bool = True  # the same trial has the same outcome
 
     def as_object(self) -> dict[str, Any]:
         """Return what is reported to programs."""

@@ -145,6 +145,7 @@ class _Notebook:
         self._logger.on_start(Started(record.folder, complete, resumed.generation))
         say(f"{complete.name}: {connection.who_computes()}")
         if not self._problem.simulator.repeatable:
+            record.set_meta("repeatable", 0)
             say(
                 f"{complete.problem.simulator} is not repeatable with these settings: another run "
                 "gives other results"
@@ -366,6 +367,7 @@ class _Notebook:
             champion=self._held_out,
             assessment_hash=self._hash,
             history_version=HISTORY_VERSION,
+            repeatable=self._problem.simulator.repeatable,
             trials=1
             if self._optimizer.relative
             else self._problem.experiment.problem.trials,

@@ -1,14 +1,28 @@
 """Rules of a contract, and the words for a broken one."""
 
 import contextlib
+import warnings
 from collections.abc import Callable, Iterator
 
 from zswarm.nets.representation import Representation
+from zswarm.plugins import portability
 from zswarm.plugins import registry as plugins
+from zswarm.sims.simulator import Simulator
 
 
 class BrokenRule(AssertionError):
     """A part breaks a rule of its contract."""
+
+
+class PortabilityWarning(UserWarning):
+    """A line of a simulator that may compute other bits on another machine."""
+
+
+def lint(simulator: Simulator) -> None:
+    """Warn of each line that may compute other bits elsewhere, if the simulator promises them."""
+    for file, line, text in portability.findings(type(simulator)):
+        if simulator.repeatable:
+            warnings.warn_explicit(text, PortabilityWarning, str(file), line)
 
 
 @contextlib.contextmanager

@@ -30,7 +30,7 @@ from zswarm.sims.turns import BrokenContractError, play_turns
 from zswarm.system import shared_memory
 from zswarm.system.process_state import left_behind, process_state
 from zswarm.testing.proxies import CheckedSimulator, Speed, TimedSimulator
-from zswarm.testing.rules import BrokenRule, checking, fully_meshed, require
+from zswarm.testing.rules import BrokenRule, checking, fully_meshed, lint, require
 
 __all__ = ["Speed", "check_simulator"]
 
@@ -64,6 +64,10 @@ def check_simulator(
     - A ``CompiledSimulator`` gives the same bits in its turns, in a batch, and trial by trial, and
       reports its progress and stops on request.
 
+    A ``PortabilityWarning`` names each line of a ``repeatable`` simulator with a function whose
+    bits differ between machines (numpy's sums, ``@``, ``np.random``, sines ...), and what to use
+    instead. A comment ``# portable: reason`` silences a line.
+
     Args:
         simulator_class: the class to check.
         settings: of the problem, as in ``[problem.settings]``; defaults where omitted.
@@ -84,7 +88,9 @@ def check_simulator(
 
     with checking(simulator_class.__name__):
         require(is_struct(kind) and kind.__struct_config__.frozen, text)
-        return _check(new)
+        speed = _check(new)
+    lint(new())
+    return speed
 
 
 def _check(new: Callable[[], Simulator]) -> Speed:

@@ -242,6 +242,10 @@ def test_every_setting_of_a_study_is_checked(tmp_path: Path) -> None:
         ),
         ({"portable": False}, "may differ in the last bits between machines"),
         (
+            {"unportable": ["sheep.py:7: np.sum ...", "sheep.py:9: @ ..."]},
+            "may differ in the last bits between machines: see 2 lines of minisim below",
+        ),
+        (
             {"repeatable": False},
             "differs from run to run: trials of minisim do not repeat",
         ),

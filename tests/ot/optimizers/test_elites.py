@@ -248,9 +248,9 @@ def played(parts: run.Parts, generations: int, genomes: Any = None) -> run.Parts
 
 @pytest.mark.long
 def test_quality_diversity_finds_more_and_better_behaviours_than_random_search() -> None:
-    """Each has 5,000 evaluations with each of ten seeds."""
+    """Each has 5,000 evaluations with each of six seeds."""
     scores: dict[str, list[float]] = {"map-elites": [], "cma-me": [], "random": []}
-    for seed in range(10):
+    for seed in range(6):
         for kind, settings in (
             ("map-elites", {"population": 50}),
             ("cma-me", {"emitters": 5, "population": 10}),

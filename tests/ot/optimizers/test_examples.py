@@ -78,18 +78,19 @@ def test_each_beats_random_search_at_equal_evaluations(name: str) -> None:
 def test_novelty_finds_the_way_round_where_fitness_leads_behind_a_wall() -> None:
     """The goal is reached with fitness above 1; breeding for nearness or chance does not."""
     example, evaluations = NAMED["novelty"]
-    found = [best(example, [f"seed={seed}"]) for seed in range(10)]
+    seeds = range(6)
+    found = [best(example, [f"seed={seed}"]) for seed in seeds]
     bred = [
         best(
             example,
             [f"seed={seed}", 'optimizer={kind="nnga"}', "generations=1000"],
             evaluations,
         )
-        for seed in range(10)
+        for seed in seeds
     ]
-    chance = [by_chance(example, seed, evaluations) for seed in range(10)]
-    assert sum(fitness >= 1.0 for fitness in found) >= 8
-    assert sum(fitness >= 1.0 for fitness in bred) <= 2
+    chance = [by_chance(example, seed, evaluations) for seed in seeds]
+    assert sum(fitness >= 1.0 for fitness in found) >= 5
+    assert sum(fitness >= 1.0 for fitness in bred) <= 1
     assert mannwhitneyu(found, bred, alternative="greater").pvalue < 0.01
     assert mannwhitneyu(found, chance, alternative="greater").pvalue < 0.01
 

@@ -17,7 +17,7 @@ from tests.repository import REPOSITORY
 from tests.ros.ros_here import LINKS, ROS_2, need
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.robots.profiles import profile as profiles
-from zswarm.robots.profiles.profile import Profile
+from zswarm.robots.profiles.profile import Channel, Profile
 from zswarm.ros.link import graph
 from zswarm.ros.link.link import Link
 from zswarm.ros.link.messages import Clock, Message, Odometry, ResetWorld, Scan, Velocity
@@ -246,6 +246,49 @@ def test_a_service_without_arguments_begins_a_trial(
             assert received(simulation, 2) == [ResetWorld(seed=0), ResetWorld(seed=0)]
             returned = received(controllers, 2)
             assert returned == [ResetWorld(seed=0), ResetWorld(seed=0)]
+
+
+@pytest.mark.parametrize(
+    ("link", "profile"), [("rospy", STAGE), ("rclpy", STAGE_2)], ids=["rospy", "rclpy"]
+)
+def test_a_service_that_returned_is_reported_with_the_next_time(
+    link: graph.LinkKind, profile: Profile
+) -> None:
+    """Of the clock, published after the call: so until then it is not reported."""
+    need(link)
+    channels: tuple[Channel, ...] = ("reset", "clock")
+    with (
+        graph.private(link) as here,
+        Link(
+            here,
+            profile,
+            robots=1,
+            side="controllers",
+            channels=channels,
+            stamped_resets=True,
+        ) as controllers,
+        Link(
+            here.dialled(), profile, robots=1, side="simulation", channels=channels
+        ) as simulation,
+    ):
+        controllers.ready(TIMEOUT_S)
+        simulation.ready(TIMEOUT_S)
+        for now in (0, 1000):
+            simulation.send([Clock(stamp_ns=now + 1)])
+            assert received(controllers, 1) == [Clock(stamp_ns=now + 1)]
+            controllers.send([ResetWorld()])
+            assert received(simulation, 1) == [ResetWorld()]
+            assert controllers.receive(0.2) is None
+            came: list[Message] = []
+            stamp_ns = now + 1
+            while not any(isinstance(message, ResetWorld) for message in came):
+                stamp_ns += 1  # the first ones may be too early for the new connection
+                simulation.send([Clock(stamp_ns=stamp_ns)])
+                came += [message for message in [controllers.receive(0.5)] if message]
+            (reset,) = [message for message in came if isinstance(message, ResetWorld)]
+            assert now + 1 < reset.stamp_ns <= stamp_ns
+            while controllers.receive(0.5) is not None:
+                pass
 
 
 def test_bytes_and_hashes_are_still_those_of_ros_2() -> None:

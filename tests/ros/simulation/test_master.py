@@ -18,7 +18,7 @@ from zswarm.ros.link.graph import RosGraph
 
 pytestmark = pytest.mark.robots
 PROGRAM = Path(__file__).parent / "stage_like.py"
-OPTIONS = {"robots": 2, "interval_s": 0.1, "tick_s": 0.02, "reset_s": 0.01}
+OPTIONS = {"robots": 2, "interval_s": 0.1, "tick_s": 0.02, "reset_s": 0.01, "lag_s": 0.0}
 EXPERIMENT = """
 name = "stage"
 seed = 1

@@ -220,7 +220,8 @@ def test_a_free_running_simulation_reports_how_late_the_controllers_are() -> Non
         simulator = built("turtlebot-exit-ros", rate=rate, **room)
         for seed in range(3, 3 + trials):
             played = by_policy(simulator, robot_controllers.turtlebot_exit, seed)
-            out, _, seconds, share, missed = played.outcome.metrics
+            out, _, seconds, share, missed, ran_at = played.outcome.metrics
+            assert 0 < ran_at < rate * 1.1
             late.append(share)
             turns.append(len(played.poses) - 1)
             assert missed == 1 - turns[-1] / round(seconds / 0.2)
@@ -238,8 +239,8 @@ def test_a_trial_whose_steps_passed_without_decisions_is_a_fault() -> None:
     simulator = built("turtlebot-exit-ros", **room)
     with pytest.raises(
         EvaluationError,
-        match=r"\d+ of \d+ steps passed without a decision: the simulation is about [\d.]+ times "
-        r"too fast .* at most 0 \(missed_limit\): slow it down, see docs/ros.md",
+        match=r"\d+ of \d+ steps passed without a decision: the simulation runs at \S+ times real "
+        r"time, about [\d.]+ times too fast .* at most 0 \(missed_limit\): slow it down, see docs",
     ):
         play_many(simulator)
     simulator.close()

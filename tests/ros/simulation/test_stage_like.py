@@ -26,7 +26,7 @@ from zswarm.ros.simulation import simulation
 pytestmark = pytest.mark.robots
 PROGRAM = Path(__file__).parent / "stage_like.py"
 STARTS = [[0.0, -1.0], [1.0, -1.0]]  # x, y
-NORMAL = {"robots": 2, "interval_s": 0.1, "tick_s": 0.02, "reset_s": 0.1}
+NORMAL = {"robots": 2, "interval_s": 0.1, "tick_s": 0.02, "reset_s": 0.1, "lag_s": 0.0}
 
 
 @contextmanager
@@ -90,6 +90,20 @@ def test_a_trial_begins_where_the_reset_put_the_robots(
         simulator.close()
 
 
+def test_readings_of_before_the_reset_that_arrive_late_begin_no_trial(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They wait on connections, as does the clock: for longer than the slot listens."""
+    with running(tmp_path, monkeypatch, lag_s=3 * simulation.LISTEN_S) as settings:
+        simulator = in_slot(settings, missed_limit=1.0, steps=1000)
+        for _ in range(3):
+            simulator.reset(1)
+            assert simulator.poses[:, :2].tolist() == STARTS
+            while simulator.poses[0, 0] < 0.3:
+                simulator.step(ahead(simulator.poses))
+        simulator.close()
+
+
 def test_no_step_is_missed_in_a_simulation_that_is_slow_enough(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,10 +111,11 @@ def test_no_step_is_missed_in_a_simulation_that_is_slow_enough(
         simulator = in_slot(settings, missed_limit=1.0)
         played = by_policy(simulator, ahead, 1)
         simulator.close()
-    _, _, seconds, _, missed = played.outcome.metrics
+    _, _, seconds, _, missed, rate = played.outcome.metrics
     turns = len(played.poses) - 1
     assert seconds == 6.0
     assert missed == 1 - turns / 30
+    assert 0 < rate <= 1.1
 
 
 def test_a_simulation_that_is_too_fast_is_a_fault(

@@ -77,9 +77,9 @@ def test_robots_leave_the_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         simulator = stage.in_slot()
         played = by_policy(simulator, robot_controllers.turtlebot_exit, 1)
         simulator.close()
-    escaped, _, _, late, missed = played.outcome.metrics
+    escaped, _, _, *of_running = played.outcome.metrics
     assert escaped >= 1
-    assert (late, missed) == (0.0, 0.0)
+    assert of_running == [0.0, 0.0, 0.0]
 
 
 def test_stage_at_full_speed_is_too_fast(
@@ -92,7 +92,9 @@ def test_stage_at_full_speed_is_too_fast(
 
 
 def test_the_throttle_finds_what_the_robots_keep_up_with_and_tells_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     """They take 0.1 s for an answer, so twice that for a step: real time, or less."""
 
@@ -102,8 +104,7 @@ def test_the_throttle_finds_what_the_robots_keep_up_with_and_tells_it(
 
     with stage_here.running(tmp_path, monkeypatch, "throttle auto 0.2", **ROOM) as stage:
         simulator = stage.in_slot(steps=40, missed_limit=0.5)
-        for _ in range(2):
-            by_policy(simulator, slow, 1)
+        *_, rate = [by_policy(simulator, slow, 1).outcome.metrics[-1] for _ in range(2)]
         simulator.close()
         said = (tmp_path / "stage.log").read_text()
     rates = re.findall(
@@ -112,6 +113,11 @@ def test_the_throttle_finds_what_the_robots_keep_up_with_and_tells_it(
     assert rates, said
     assert float(rates[-1][0]) <= 1.0
     assert float(rates[-1][1]) >= 0.1
+    assert 0 < rate <= 1.1
+    assert (
+        f"simulation 'stage' runs at {rate:.2g} times real time\n"
+        in capfd.readouterr().err
+    )
 
 
 def test_a_step_that_stage_does_not_keep_is_refused(
@@ -141,7 +147,10 @@ def test_a_stage_that_ended_is_a_fault(
 def test_resets_at_full_speed_are_survived(
     controller: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Exact in lock-step. stageros 1.8.0, without the patch, ends after some tens of them."""
+    """And exact: readings of before a reset, which arrive later, begin no trial.
+
+    stageros 1.8.0, without the patch, ends after some tens of resets.
+    """
     with stage_here.running(tmp_path, monkeypatch, controller, **ROOM) as stage:
         simulator = stage.in_slot(missed_limit=1.0, deadline_s=DEADLINE_S)
         worst = 0.0
@@ -151,5 +160,4 @@ def test_resets_at_full_speed_are_survived(
             simulator.step(np.full((len(simulator.task.agents), 2), 0.9, np.float32))
         simulator.close()
         assert stage.process.poll() is None
-        # At full speed a robot may take a last velocity when it was put back: 1 step, 0.13 m.
-        assert worst < (1e-3 if controller else 0.14)
+        assert worst < 1e-3

@@ -13,7 +13,10 @@ def caveats(run: Run) -> list[str]:
     changed = run.changed
     wrong = "came from a server that was later proved to compute wrong."
     versions = mark(epochs(run), run.generations())
+    simulator = run.experiment.problem.simulator
     found = {
+        f"Trials of {simulator} do not repeat (repeatable = False): another run of this experiment "
+        "has other results and another history hash.": "repeatable" in run.meta,
         f"The run was {versions}.": versions,
         f"The run was imported, not evolved here: {source}.": source,
         f"{plural(faulted, 'trial')} failed by what a machine did, and counted as failed.": faulted,

@@ -79,11 +79,10 @@ def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) 
         _show_study(cells, complete, explained)
     if survey is not None:
         _show_servers(survey, complete)
-    for warning in explained.warnings:
+    warnings = [*explained.warnings, *explained.unportable]
+    for warning in warnings:
         tables.entry("warning", warning, colour="yellow")
-    verdict = (
-        "the experiment can be run" if explained.warnings else "the experiment is fine"
-    )
+    verdict = "the experiment can be run" if warnings else "the experiment is fine"
     run = [
         "zswarm-ot",
         "run",
@@ -177,6 +176,9 @@ def _result(e: "Explanation") -> str:
         return f"differs from run to run: trials of {e.simulator} do not repeat"
     if not e.portable:
         return "may differ in the last bits between machines"
+    if e.unportable:
+        lines = plural(len(e.unportable), "line")
+        return f"may differ in the last bits between machines: see {lines} of {e.simulator} below"
     parts: dict[registry.Kind, str] = {
         "simulator": e.simulator,
         "representation": e.representation,

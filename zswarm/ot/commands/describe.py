@@ -14,7 +14,9 @@ MEANINGS = {
     "portable": "gives the same on every machine, bit for bit",
     "competes": "also takes the scores of tournaments",
     "relative": "scores compare within a generation only",
+    "repeatable": "the same genomes and seed give the same outcome, bit for bit",
 }
+NOT = {"repeatable": "trials do not repeat, and servers are not compared"}
 
 
 @click.command("describe")
@@ -63,7 +65,8 @@ def _show(part: CatalogEntry) -> None:
 def _fact(name: str, value: Any) -> str:
     match value:
         case bool():
-            return f"yes: {MEANINGS[name]}" if value else "no"
+            meaning = (MEANINGS if value else NOT).get(name)
+            return ("yes" if value else "no") + (f": {meaning}" if meaning else "")
         case list():
             return ", ".join(value) or "no names"
     return str(value)

@@ -201,9 +201,10 @@ def shown(value: float | None) -> str:
 
 
 def flaws(result: Result) -> list[str]:
-    """Return why another run may have another history: faulted and doubtful trials."""
+    """Return why another run may have another history."""
     counts = {"faulted": result.faulted, "doubtful": result.doubtful}
-    return [
+    found = [] if result.repeatable else ["trials do not repeat"]
+    return found + [
         f"{word}: {plural(count, 'trial')}" for word, count in counts.items() if count
     ]
 

@@ -17,9 +17,10 @@ from zswarm.ot.assessment import racing
 from zswarm.ot.build import Parts
 from zswarm.ot.estimate.sample import MOST_BRED, breed, counted, rounds
 from zswarm.ot.problem import Problem
-from zswarm.plugins import registry
+from zswarm.plugins import portability, registry
 from zswarm.sims.randomized import Varied
 from zswarm.system.format import size
+from zswarm.system.text import clean
 
 SAMPLE_S = 0.3  # of trials
 MOST_TRIALS = 512  # of the sample
@@ -57,6 +58,9 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
     optimizer: str
     portable: bool
     repeatable: bool  # the same trial has the same outcomes
+    unportable: list[
+        str
+    ]  # lines of its source that may have other bits on other machines
     # Of its study; all other numbers are about one run with the file's settings.
     runs: int
     generations: int
@@ -107,6 +111,7 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
         optimizer=complete.optimizer.kind,
         portable=optimizer.portable,
         repeatable=problem.simulator.repeatable,
+        unportable=_unportable(problem),
         runs=complete.study.runs(),
         generations=complete.generations,
         candidates_first_generation=first,
@@ -116,6 +121,15 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
         **_simulator(problem),
         **work,
     )
+
+
+def _unportable(problem: Problem) -> list[str]:
+    """Return a line for each place in a simulator's source that may have other bits elsewhere."""
+    name = problem.experiment.problem.simulator
+    if name in registry.BUNDLED["simulator"] or not problem.simulator.repeatable:
+        return []
+    found = portability.findings(registry.load("simulator", name))
+    return [clean(f"{each.file.name}:{each.line}: {each.text}") for each in found]
 
 
 def _simulator(problem: Problem) -> dict[str, Any]:

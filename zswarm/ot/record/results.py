@@ -60,4 +60,5 @@ def result_after(folder: Path, complete: Experiment) -> Result | None:
         champion=run.held_out if whole else None,
         assessment_hash=run.meta.get("assessment_hash", "") if whole else "",
         trials=1 if run.relative else run.experiment.problem.trials,
+        repeatable="repeatable" not in run.meta,
     )

@@ -71,6 +71,8 @@ def decode(channel: Channel, robot: int, body: bytes) -> Message:
         fields["robot"] = robot
     if channel == "ground_truth":
         fields["truth"] = True
+    if channel == "reset" and len(body) > layout.size:
+        (fields["stamp_ns"],) = frames.CLOCK.unpack_from(body, layout.size)
     if channel == "scan":
         fields["ranges"] = np.frombuffer(body, LITTLE, offset=layout.size).astype(
             np.float32

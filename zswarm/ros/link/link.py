@@ -44,12 +44,16 @@ class Link:
         robots: int,
         side: Side,
         channels: Collection[Channel] | None = None,
+        stamped_resets: bool = False,
     ) -> None:
         """Start the child process.
 
         Args:
             robots: their number; a single one has no namespace.
             channels: those used of the profile; None: all.
+            stamped_resets: a ``ResetWorld`` that says that a service returned comes with the next
+                message of the clock, whose stamp it has. Messages with earlier stamps may be of
+                before the reset, also if they arrive later.
 
         Raises:
             ConfigError: ROS is not installed, with what to install; the profile does not fit the
@@ -71,6 +75,9 @@ class Link:
         self._described = [
             _describe(profile, *topic, robots, side) for topic in self._topics
         ]
+        if stamped_resets:
+            clock = self._described[self._topics.index(("clock", 0))]
+            self._described[self._topics.index(("reset", 0))]["clock"] = clock
         self._numbers = {
             topic: number
             for number, topic in enumerate(self._topics)
@@ -221,4 +228,5 @@ def _describe(
         "reliable": topic.reliable,
         "frame": profile.frame(topic.frame, robot, robots),
         "child_frame": profile.frame(topic.child_frame, robot, robots),
+        "clock": None,
     }

@@ -65,6 +65,8 @@ class ResetWorld(msgspec.Struct, frozen=True, kw_only=True):
     """Begin a trial: std_msgs/UInt64, or a service without arguments (Stage's reset_positions)."""
 
     seed: int = 0  # of the trial, below 2^64; a service has none
+    # Of a service that returned, if asked for: later than all that it changed.
+    stamp_ns: int = 0
 
 
 Message = Scan | Odometry | Velocity | Clock | ResetWorld

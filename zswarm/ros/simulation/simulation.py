@@ -55,7 +55,11 @@ class Simulation:
         self._step_ns = round(settings.step_s * NS)
         self._node: Child | None = None
         self.stamp_ns = 0
-        self._was_reset = False
+        self._began = (
+            0.0,
+            0,
+        )  # the trial: when, by the monotonic clock, and at which stamp
+        self._was_reset: ResetWorld | None = None  # by a service that returned
         self._is_simulated = machine is None or not machine.simulation.real_robots
         self._supervisor: Supervisor | None = None
         pose: Channel = "odometry" if profile.ground_truth is None else "ground_truth"
@@ -67,7 +71,12 @@ class Simulation:
         with contextlib.ExitStack() as opened:
             here = self._open_graph(opened, machine, f"scan,{pose}")
             link = Link(
-                here, profile, robots=self._robots, side="controllers", channels=used
+                here,
+                profile,
+                robots=self._robots,
+                side="controllers",
+                channels=used,
+                stamped_resets=profile.reset.service and not self._lock_step,
             )
             self._link = opened.enter_context(link)
             self._link.ready(READY_S, check=self._check_runs)
@@ -111,12 +120,17 @@ class Simulation:
         self._ask_reset(seed)
         due_ns = self._step_ns
         if self._profile.reset.service:  # its clock is not reset
-            self._await_return()
+            due_ns += self._await_return()
             self._listen(LISTEN_S)
-            due_ns = self._readings.clock_ns + self._step_ns
         elif not self._lock_step:
             self._await_reset(before_ns)
         self._look(range(self._robots), due_ns, scans, poses)
+        self._began = time.monotonic(), self.stamp_ns
+
+    def rate(self) -> float:
+        """Return how many times as fast as real time the trial was since its first readings."""
+        at, stamp_ns = self._began
+        return (self.stamp_ns - stamp_ns) / NS / (time.monotonic() - at)
 
     def drive(
         self, robots: Iterable[int], linear: np.ndarray, angular: np.ndarray
@@ -157,7 +171,7 @@ class Simulation:
 
     def _ask_reset(self, seed: int) -> None:
         self._readings.forget()
-        self._was_reset = False
+        self._was_reset = None
         self._link.send([ResetWorld(seed=seed)])
 
     def _begin_in_steps(self, seed: int, scans: np.ndarray, poses: np.ndarray) -> None:
@@ -213,18 +227,20 @@ class Simulation:
             )
         return step_ns - interval_ns // 2
 
-    def _await_return(self) -> None:
-        """Wait until the service that resets returned."""
-        limit_s = self._settings.deadline_s
-        deadline = time.monotonic() + limit_s
-        while not self._was_reset:
-            if time.monotonic() > deadline:
-                raise self._no_return()
-            self._take(limit_s)
+    def _await_return(self) -> int:
+        """Wait until the service that resets returned; return a time since then, ns.
 
-    def _no_return(self) -> EvaluationError:
+        In lock-step it is 0: then the simulation waits.
+        """
         limit_s, name = self._settings.deadline_s, self._profile.reset.name
-        return EvaluationError(f"{name} did not return within {limit_s:g} s (deadline_s)")
+        deadline = time.monotonic() + limit_s
+        while self._was_reset is None:
+            if time.monotonic() > deadline:
+                raise EvaluationError(
+                    f"{name} did not return within {limit_s:g} s (deadline_s)"
+                )
+            self._take(limit_s)
+        return self._was_reset.stamp_ns
 
     def _await_reset(self, before_ns: int) -> None:
         """Wait until the clock restarted."""
@@ -251,7 +267,7 @@ class Simulation:
         """Take the next message; return early without one, so that the node is checked often."""
         message = self._link.receive(min(timeout_s, LOOK_S))
         if isinstance(message, ResetWorld):
-            self._was_reset = True
+            self._was_reset = message
         elif message is not None:
             self._readings.take(message)
         else:

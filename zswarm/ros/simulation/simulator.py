@@ -6,6 +6,7 @@ step, and a trial has the bits of ``turtlebot-exit``. ROS is needed only when a 
 """
 
 import contextlib
+import sys
 from collections.abc import Iterator
 
 import numpy as np
@@ -23,6 +24,7 @@ from zswarm.sims.simulator import Frame, Outcome, Simulator, Turn
 from zswarm.sims.turtlebot_exit import ExitTask, TurtlebotExit
 
 NAME = "turtlebot-exit-ros"
+NEW = 1.25  # a rate is reported that differs by this factor from the last one
 
 
 class TurtlebotExitRos(Simulator):
@@ -32,11 +34,12 @@ class TurtlebotExitRos(Simulator):
     Turns: all robots that are still inside, at once, every ``step_s`` of the simulation's clock.
     Metrics: those of turtlebot-exit, and ``late_fraction``: the share of velocities that were sent
         when the clock was past their scan's stamp; ``missed``: the share of steps in which robots
-        did not decide, since the simulation did not wait. Both are 0 in lock-step.
+        did not decide, since the simulation did not wait; ``rate``: how many times as fast as real
+        time the simulation was. All are 0 in lock-step.
     """
 
     settings_type = RosSettings
-    metrics = (*TurtlebotExit.metrics, "late_fraction", "missed")
+    metrics = (*TurtlebotExit.metrics, "late_fraction", "missed", "rate")
     sensors, actuators = TurtlebotExit.sensors, TurtlebotExit.actuators
     inputs, outputs = TurtlebotExit.inputs, TurtlebotExit.outputs
     settings: RosSettings
@@ -57,6 +60,7 @@ class TurtlebotExitRos(Simulator):
         # x, y, and z, w of the quaternion; a robot that is out keeps its last pose.
         self.poses = np.zeros((settings.robots, 4))
         self._simulation: Simulation | None = None
+        self._rate = self._reported_rate = 0.0
 
     def use_machine(self) -> None:
         """Let trials drive the simulation that a file of this machine names."""
@@ -83,7 +87,11 @@ class TurtlebotExitRos(Simulator):
             self._late += late * len(agents)
             turn, out = self.task.go_on(self._scans, self.poses, passed)
             simulation.halt(agents if turn is None else out)
+            if self.settings.mode == "free-running":
+                self._rate = simulation.rate()
             self._count(passed, over=turn is None)
+        if turn is None:
+            self._report_rate()
         return turn
 
     def outcome(self) -> Outcome:
@@ -91,7 +99,7 @@ class TurtlebotExitRos(Simulator):
         decided = self.task.outcome()
         missed = 1 - self._turns / self._passed
         late = self._late / self._sent
-        return Outcome(decided.fitness, [*decided.metrics, late, missed])
+        return Outcome(decided.fitness, [*decided.metrics, late, missed, self._rate])
 
     def frame(self) -> Frame:
         """Return the picture of turtlebot-exit."""
@@ -113,9 +121,19 @@ class TurtlebotExitRos(Simulator):
         missed, limit = self._passed - self._turns, self.settings.missed_limit
         if missed > limit * (self._passed if over else self.settings.steps):
             raise EvaluationError(
-                f"{missed} of {self._passed} steps passed without a decision: the simulation is "
-                f"about {self._passed / self._turns:.1f} times too fast for this machine; expected "
-                f"a share of at most {limit:g} (missed_limit): slow it down, see docs/ros.md"
+                f"{missed} of {self._passed} steps passed without a decision: the simulation runs "
+                f"at {self._rate:.2g} times real time, about {self._passed / self._turns:.1f} "
+                "times too fast for this machine; expected a share of at most "
+                f"{limit:g} (missed_limit): slow it down, see docs/ros.md"
+            )
+
+    def _report_rate(self) -> None:
+        """Write how fast the simulation was, which servers log, if that is new."""
+        if self._rate and not 1 / NEW < self._rate / (self._reported_rate or 1e-9) < NEW:
+            self._reported_rate = self._rate
+            name = self.settings.simulation
+            sys.stderr.write(
+                f"simulation {name!r} runs at {self._rate:.2g} times real time\n"
             )
 
     @contextlib.contextmanager

@@ -165,6 +165,7 @@ def _facts(kind: registry.Kind, loaded: Any) -> Iterator[tuple[str, Any]]:
             for name in ("participants", "inputs", "outputs"):
                 if isinstance(number := getattr(built, name, None), int):
                     yield name, number
+            yield "repeatable", bool(built.repeatable)
         case "optimizer":
             yield "portable", bool(loaded.portable)
             yield "competes", bool(loaded.competes)

@@ -72,6 +72,7 @@ class RclpyTopics(Topics):  # type: ignore[misc]  # found only at run time
         super().__init__(write, Conversion(new))
         self._node = node
         self.publishers: list[Any] = []
+        self._heard: Any = None
 
     def _publish(self, topic: dict[str, Any]) -> tuple[Send, Count]:
         kind = message_class(topic["type"])
@@ -87,6 +88,21 @@ class RclpyTopics(Topics):  # type: ignore[misc]  # found only at run time
         )
         matched = getattr(subscription, "get_publisher_count", None)
         return matched or (lambda: self._node.count_publishers(subscription.topic_name))
+
+    def _hear_anew(self, topic: dict[str, Any], heard: Send) -> None:
+        """Subscribe once more; the subscription is destroyed when the next one is made."""
+        waiting = [heard]
+
+        def receive(message: Any) -> None:
+            if waiting:
+                waiting.pop()(message)
+
+        if self._heard is not None:
+            self._node.destroy_subscription(self._heard)
+        kind = message_class(topic["type"])
+        self._heard = self._node.create_subscription(
+            kind, topic["name"], receive, _quality(topic)
+        )
 
     def _call(self, service: str, returned: Callable[[], object]) -> tuple[Send, Count]:
         kind = frames.need("std_srvs.srv", NO_SERVICES).Empty

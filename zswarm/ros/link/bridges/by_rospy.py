@@ -69,6 +69,7 @@ class RospyTopics(Topics):  # type: ignore[misc]  # found only at run time
     def __init__(self, write: Callable[[bytes], object], rospy: Any) -> None:
         super().__init__(write, Conversion(new, stamp=("secs", "nsecs")))
         self._rospy = rospy
+        self._subscriptions: dict[str, tuple[Any, Send]] = {}
 
     def _publish(self, topic: dict[str, Any]) -> tuple[Send, Count]:
         """Without a queue, messages are sent at once."""
@@ -77,10 +78,26 @@ class RospyTopics(Topics):  # type: ignore[misc]  # found only at run time
         return publisher.publish, publisher.get_num_connections
 
     def _subscribe(self, topic: dict[str, Any], received: Send) -> Count:
-        name, kind = topic["name"], message_class(topic["type"])
-        subscriber = self._rospy.Subscriber(name, kind, received, tcp_nodelay=True)
-        count: Count = subscriber.get_num_connections
-        return count
+        name = topic["name"]
+        self._subscriptions[name] = self._subscriber(topic, received), received
+        return lambda: int(self._subscriptions[name][0].get_num_connections())
+
+    def _hear_anew(self, topic: dict[str, Any], heard: Send) -> None:
+        """Subscribe again: rospy has one connection for all subscribers of a topic."""
+        old, received = self._subscriptions[topic["name"]]
+        old.unregister()
+        waiting = [heard]
+
+        def receive(message: Any) -> None:
+            if waiting:
+                waiting.pop()(message)
+            received(message)
+
+        self._subscriptions[topic["name"]] = self._subscriber(topic, receive), received
+
+    def _subscriber(self, topic: dict[str, Any], received: Send) -> Any:
+        kind = message_class(topic["type"])
+        return self._rospy.Subscriber(topic["name"], kind, received, tcp_nodelay=True)
 
     def _call(self, service: str, returned: Callable[[], object]) -> tuple[Send, Count]:
         from std_srvs.srv import Empty

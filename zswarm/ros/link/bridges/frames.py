@@ -35,7 +35,9 @@ SCAN = struct.Struct("<q5f")
 ODOMETRY = struct.Struct("<q6d")
 VELOCITY = struct.Struct("<q2d")  # stamp (0 in a Twist), linear, angular
 CLOCK = struct.Struct("<q")
-RESET = struct.Struct("<Q")  # seed
+RESET = struct.Struct(
+    "<Q"
+)  # seed; a CLOCK may follow, where it reports that a service returned
 
 LASER_SCAN, ODOMETRIES, CLOCKS = (
     "sensor_msgs/LaserScan",

@@ -41,6 +41,15 @@ class Topics:
         """Subscribe to a topic; return a function that counts publishers."""
         raise NotImplementedError
 
+    def _hear_anew(self, topic: dict[str, Any], heard: Send) -> None:
+        """Call back once, with a message that is published from now on.
+
+        Args:
+            topic: one that is subscribed to; on its connection older messages may wait.
+            heard: what is called.
+        """
+        raise NotImplementedError
+
     def _call(self, service: str, returned: Callable[[], object]) -> tuple[Send, Count]:
         """Return functions that call an empty service, and whether it exists.
 
@@ -66,14 +75,19 @@ class Topics:
         )
 
     def _connect_service(self, number: int, topic: dict[str, Any]) -> Count:
-        body = frames.frame(number, frames.RESET.pack(0))
-        if topic["publish"]:
-            self.sending[number], count = self._call(
-                topic["name"], lambda: self._write(body)
-            )
-            return count
-        self._offer(topic["name"], lambda: self._write(body))
-        return lambda: 1
+        def report(clock: bytes = b"") -> None:
+            self._write(frames.frame(number, frames.RESET.pack(0) + clock))
+
+        if not topic["publish"]:
+            self._offer(topic["name"], report)
+            return lambda: 1
+        returned: Callable[[], object] = report
+        if (clock := topic["clock"]) is not None:
+            body = self._conversion.body(frames.CLOCKS)
+            heard = lambda message: report(body(message))  # noqa: E731
+            returned = lambda: self._hear_anew(clock, heard)  # noqa: E731
+        self.sending[number], count = self._call(topic["name"], returned)
+        return count
 
 
 def message_class(name: str) -> Any:
