@@ -11,7 +11,7 @@ from msgspec import structs
 from zswarm.config.decode import to_json
 from zswarm.config.sections import StopConfig
 from zswarm.controller import HeldOut
-from zswarm.ot.assessment import contest
+from zswarm.ot.assessment import amount, contest
 from zswarm.ot.assessment.contest import Contest
 from zswarm.ot.assessment.seen_seeds import SeenSeeds
 from zswarm.ot.assessment.track import Track
@@ -303,7 +303,7 @@ class _Notebook:
             self._differ = ended.differ()
         fit = self._differ and contest.unfit(self._problem) == ""
         searched = max(1, last * ended.trials)
-        return last, contest.trials_after(complete, searched, last, fit=fit) / searched
+        return last, amount.trials_after(complete, searched, last, fit=fit) / searched
 
     def end(self, cluster: Cluster, obey: Callable[[Cluster], None]) -> None:
         """Assess the candidates of the run, if there is something to assess; take what is late."""

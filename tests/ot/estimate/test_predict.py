@@ -14,7 +14,7 @@ from tests.ot.invented_record import written
 from tests.ot.record.sealing import reseal
 from zswarm import experiment
 from zswarm.ot import cli
-from zswarm.ot.assessment import racing
+from zswarm.ot.assessment import amount
 from zswarm.ot.build import Parts, build
 from zswarm.ot.commands.shared.exits import EXIT_NO_SERVERS
 from zswarm.ot.estimate import calibration as constants
@@ -93,7 +93,7 @@ def test_the_assessment_racing_and_budgets_are_counted() -> None:
     tracked = planned("minisim", assessment__budget=0, assessment__track=20)
     assert tracked.after == 200
     raced = planned("minisim", assessment__racing="true")
-    assert raced.simulations == pytest.approx(1.1 * racing.PLAYED * 18_630, rel=0.01)
+    assert raced.simulations == pytest.approx(1.1 * amount.RACED * 18_630, rel=0.01)
     budget = planned("minisim", stop__evaluations=50 + 9 * 37)
     assert (budget.generations, budget.simulations) == (10, 3830 + 383)
     assert planned("minisim-duel").after == 0

@@ -8,9 +8,8 @@ import numpy as np
 
 from zswarm.controller import HeldOut
 from zswarm.errors import ConfigError
-from zswarm.experiment import Experiment
 from zswarm.kernels.random import derive_seed
-from zswarm.ot.assessment import track
+from zswarm.ot.assessment.amount import budget_of
 from zswarm.ot.assessment.race import LEAST, Race
 from zswarm.ot.problem import Problem
 from zswarm.ot.record.digests import real
@@ -18,7 +17,6 @@ from zswarm.ot.record.history_hash import assessed, digest
 from zswarm.ot.record.writer import Record
 from zswarm.ot.workload import Workload
 
-SHARE = 0.1  # of the run's simulations, by default
 RACE, HELD_OUT = "assessment", "held-out"  # purposes of the seeds
 
 
@@ -112,32 +110,6 @@ class Contest:
     def _seed(self, number: int, *, held_out: bool) -> int:
         purpose = HELD_OUT if held_out else RACE
         return derive_seed(self._problem.experiment.seed, purpose, number)
-
-
-def share(complete: Experiment) -> float:
-    """Return the assessment's trials as a share of those of the run."""
-    budget = complete.assessment.budget
-    return SHARE if budget == "auto" else budget
-
-
-def budget_of(complete: Experiment, trials: int) -> int:
-    """Return the trials of an assessment after a search of some trials; 0: too few for one."""
-    budget = int(share(complete) * trials)
-    return 0 if budget < LEAST else budget
-
-
-def trials_after(
-    complete: Experiment, trials: int, generations: int, *, fit: bool
-) -> int:
-    """Return how many trials follow a search at most: of the assessment, and of the track.
-
-    Args:
-        complete: the experiment.
-        trials, generations: of the search.
-        fit: whether candidates can be assessed, and trials may differ.
-    """
-    assessed = budget_of(complete, trials) if fit else 0
-    return assessed + track.trials(complete, generations)
 
 
 def unfit(problem: Problem) -> str:

@@ -14,7 +14,6 @@ from zswarm.kernels.sums import total
 ROUNDS = 5  # at most
 FIRST = 2  # trials of each in the first round: fewer show no noise
 LEAST = FIRST + 1  # trials of a candidate: with fewer there is nothing to save
-PLAYED = 0.68  # expected share of the trials: the mean of docs/benchmarks.md
 
 
 def rounds(trials: int) -> list[int]:

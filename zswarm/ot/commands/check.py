@@ -109,7 +109,6 @@ def _show_study(cells: "list[Cell]", complete: Experiment, e: "Explanation") -> 
 
 def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
     """Yield what a line is about, and its text."""
-    from zswarm.ot.assessment import racing
     from zswarm.ot.estimate.dry_run import EXAMPLE_SERVERS, EXAMPLE_SLOTS
 
     if e.runs > 1:
@@ -152,13 +151,7 @@ def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
         "optimizer",
         f"{e.optimizer}: {first:,} candidates in the first generation{then}",
     )
-    work = f"{e.evaluations:,} evaluations, {e.simulations:,} simulations"
-    if complete.assessment.racing:
-        expected = racing.PLAYED * e.simulations
-        work += f" at most (with racing about {expected:,.0f})"
-    if e.assessment_simulations:
-        work += f", and {e.assessment_simulations:,} to assess the champion"
-    yield "work", work
+    yield "work", _work(e)
     yield (
         "time",
         f"a simulation takes about {duration(e.trial_s)} here; all of them {duration(e.seconds)} "
@@ -168,6 +161,16 @@ def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
     )
     yield "disk", f"about {size(e.record_bytes)}"
     yield "result", _result(e)
+
+
+def _work(e: "Explanation") -> str:
+    """Return how many evaluations and simulations a run has."""
+    work = f"{e.evaluations:,} evaluations, {e.simulations:,} simulations"
+    if e.simulations_expected < e.simulations:
+        work += f" at most (with racing about {e.simulations_expected:,})"
+    if e.assessment_simulations:
+        work += f", and {e.assessment_simulations:,} to assess the champion"
+    return work
 
 
 def _result(e: "Explanation") -> str:

@@ -11,7 +11,7 @@ import msgspec
 
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
-from zswarm.ot.assessment import contest, racing
+from zswarm.ot.assessment import amount
 from zswarm.ot.dashboard.rows import BatchRow, EventRow, read_batches, read_events
 from zswarm.ot.dashboard.servers import ServerTable
 from zswarm.ot.notes import RunEvent
@@ -209,14 +209,10 @@ class RecordTail:
 
     def _trials_after(self, complete: Experiment, each: int) -> int:
         """Return how many trials follow the last generation, at most."""
-        searched = self._evaluations * each
-        if complete.assessment.racing:
-            searched = round(racing.PLAYED * searched)
+        searched = round(amount.played(complete) * self._evaluations * each)
         if current := self._generation + 1:
             searched = searched * complete.generations // current
-        return contest.trials_after(
-            complete, searched, complete.generations, fit=each > 0
-        )
+        return amount.trials_after(complete, searched, complete.generations, fit=each > 0)
 
     def _pace(self) -> float:
         """Return the median seconds of the last generations, which ignores pauses; 0: unknown."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from zswarm import evaluate
 from zswarm.errors import EvaluationError, NoServers
-from zswarm.ot.assessment import contest, racing
+from zswarm.ot.assessment import amount, contest
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster import discovery, matching
 from zswarm.ot.cluster.connection import Connection
@@ -116,7 +116,7 @@ def plan_of(
     played = min(PLAYED, len(genomes))
     agents = max(1, len(simulator.owners))
     steps = max(1, round(decisions / agents / played))
-    work, raced = counted(problem, first, later), problem.experiment.assessment.racing
+    work = counted(problem, first, later)
     return Plan(
         generations=work.generations,
         population=sum(rounds(problem, first)),
@@ -125,7 +125,7 @@ def plan_of(
         steps=steps,
         agents=agents,
         turns=max(1, round(turns / played / steps)),
-        played=racing.PLAYED if raced else 1.0,
+        played=amount.played(problem.experiment),
         after=work.assessment_simulations if differ else 0,
     )
 

@@ -13,7 +13,7 @@ import numpy as np
 from zswarm import evaluate, experiment
 from zswarm.config import ranges
 from zswarm.experiment import Experiment
-from zswarm.ot.assessment import racing
+from zswarm.ot.assessment import amount
 from zswarm.ot.build import Parts
 from zswarm.ot.estimate.sample import MOST_BRED, breed, counted, rounds
 from zswarm.ot.problem import Problem
@@ -68,6 +68,7 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
     candidates_later_generations: int
     evaluations: int
     simulations: int  # at most
+    simulations_expected: int  # fewer with racing
     assessment_simulations: int  # at most, after the last generation
     trial_s: float
     slots: int  # of this machine
@@ -170,7 +171,7 @@ def _work(
         + METRIC * len(simulator.metrics)
         + PARTICIPANT * (simulator.participants - 1)
     )
-    share = racing.PLAYED if complete.assessment.racing else 1.0
+    share = amount.played(complete)
     assessed = 0 if sample.same else effort.assessment_simulations
     record = evaluations * (genome_bytes + CANDIDATE)
     record += (simulations + assessed) * trial
@@ -187,6 +188,7 @@ def _work(
         "games": sum(played[0]),
         "evaluations": evaluations,
         "simulations": simulations,
+        "simulations_expected": round(share * simulations),
         "assessment_simulations": assessed,
         "slots": slots,
         "seconds": seconds(slots),

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zswarm.ot.assessment import contest, racing
+from zswarm.ot.assessment import amount, contest
 from zswarm.ot.build import Parts
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.problem import Problem
@@ -69,7 +69,7 @@ def counted(problem: Problem, first: int, later: int) -> Effort:
             generations = min(generations, fitting)
     others = generations - 1
     searched = played[0] + others * played[1]
-    raced = racing.PLAYED if complete.assessment.racing else 1.0
+    expected = round(amount.played(complete) * searched)
     fit = contest.unfit(problem) == ""
     return Effort(
         first,
@@ -77,5 +77,5 @@ def counted(problem: Problem, first: int, later: int) -> Effort:
         generations,
         first + others * later,
         searched,
-        contest.trials_after(complete, round(raced * searched), generations, fit=fit),
+        amount.trials_after(complete, expected, generations, fit=fit),
     )
