@@ -27,7 +27,7 @@ errors:
 system:             errors
 config:             errors protocol system
 plugins:            BASE
-kernels:            plugins
+kernels:            plugins system.temporary
 protocol:           BASE
 nets:               BASE kernels plugins
 sims:               BASE kernels

@@ -410,7 +410,7 @@ def test_a_server_without_keys_is_named(lab: Lab, tmp_path: Path) -> None:
         ),
         (
             "zswarm.ot",
-            ["run"],
+            ["run", "stadium"],
             "gate",
             "these are the keys of the router gate; zswarm-ot needs those of a user",
         ),

@@ -34,8 +34,10 @@ WITHOUT_JSON = {
     "zswarm-router": "serves",
     "zswarm-keys": "is a list of commands",
     "drain": "has an exit code",
+    "attach": "prints a log",
     "join": "installs files",
     "request": "writes a file",
+    "stop": "has an exit code",
 }
 
 

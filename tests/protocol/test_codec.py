@@ -116,7 +116,7 @@ REPLIES = {
         "lease": TOKENS,
         "state": st.sampled_from(["waiting", "preparing", "ready", "failed"]),
         **dict.fromkeys(("slots", "ready"), SLOTS),
-        **dict.fromkeys(("compiling", "probe_begun", "probe_trials"), COUNTS),
+        **dict.fromkeys(("compiling", "probe_begun", "probe_trials", "kernels"), COUNTS),
         "trial_s": SECONDS,
         "probe": st.binary(max_size=64),
         "reason": SHOWN,

@@ -8,6 +8,7 @@ that were not used for 30 days are deleted.
 
 import contextlib
 import fcntl
+import functools
 import os
 import re
 import shutil
@@ -19,6 +20,7 @@ from pathlib import Path
 import platformdirs
 
 from zswarm.plugins.version_hash import cache_hash
+from zswarm.system.temporary import LockedFolder
 
 LOCK = "in-use"  # locked while a process uses the folder; its time says when one began to
 CACHE = re.compile("[0-9a-f]{32}")
@@ -44,7 +46,13 @@ def cache_folder() -> Path:
             and _is_ours(folder)
         ):
             return folder
-    return Path(tempfile.mkdtemp(prefix="zswarm-"))
+    return _without_cache().path
+
+
+@functools.cache
+def _without_cache() -> LockedFolder:
+    """Return a folder of this process and its forks."""
+    return LockedFolder()
 
 
 def claimed(folder: Path) -> Path:

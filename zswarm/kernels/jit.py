@@ -41,7 +41,6 @@ __all__ = [
     "int64",
     "interpreted",
     "kernel",
-    "not_compiled",
     "sqrt",
     "uint8",
     "uint64",
@@ -168,20 +167,29 @@ def inline(
     return Compiled(function, None, **options)
 
 
-def compile_all() -> None:
-    """Compile all kernels of the imported modules, so that no trial waits for the compiler."""
+def compile_all(report: Callable[[int, int], None] | None = None) -> None:
+    """Compile all kernels of the imported modules, so that no trial waits for the compiler.
+
+    Args:
+        report: is called before each kernel that no program compiled before, so that it takes a
+            while, with how many of these are missing and how many there were.
+    """
+    new = _new()
     for declared in _kernels:
+        missing = [one for one in new if "dispatcher" not in one.__dict__]
+        if report is not None and declared in missing:
+            report(len(missing), len(new))
         _ = declared.dispatcher
 
 
-def not_compiled() -> int:
-    """Return how many of these kernels no program compiled before, so that it takes a while."""
-    if all("dispatcher" in declared.__dict__ for declared in _kernels):
-        return 0
+def _new() -> list[Compiled]:
+    """Return the kernels that no program compiled before."""
+    waiting = [one for one in _kernels if "dispatcher" not in one.__dict__]
+    if not waiting:
+        return []
     from zswarm.kernels import compiler  # which imports numba
 
-    functions = [declared.py_func for declared in _kernels]
-    return len([each for each in functions if not compiler.is_cached(each)])
+    return [one for one in waiting if not compiler.is_cached(one.py_func)]
 
 
 @contextlib.contextmanager

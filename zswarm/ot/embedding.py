@@ -145,6 +145,9 @@ class _Quiet(Logger):
     def on_say(self, line: str) -> None:
         LOG.info("%s", line)
 
+    def on_wait(self, line: str) -> None:
+        self.on_say(line)
+
 
 def _display() -> Logger:
     """Return the display for a notebook, a terminal or a file."""

@@ -182,7 +182,7 @@ class CandidateEvaluator:
             self._drop()
             run = f"evaluate-{secrets.token_hex(4)}"
             held = self._new_cluster(
-                problem, run=run, slots=slots, say=_say, stop=self._stop
+                problem, run=run, slots=slots, say=_say, wait=_say, stop=self._stop
             )
             self._cluster = self._held.enter_context(held)
             self._of = of

@@ -77,6 +77,12 @@ class Logger:
     def on_say(self, line: str) -> None:
         """Called with a line for people."""
 
+    def on_wait(self, line: str) -> None:
+        """Called with what the run waits for, and since when, until a slot is ready.
+
+        That is when it changes, every 1.5 s in the first minute, and every minute later.
+        """
+
     def on_progress(self, generation: int, counted: int, trials: int) -> None:
         """Called several times a second with the finished trials of a generation.
 

@@ -213,6 +213,7 @@ class _Notebook:
             probe=self.probe,
             known=self.known(),
             say=self._logger.on_say,
+            wait=self._logger.on_wait,
             stop=stop,
             taken_over=record.taken_over,
         )

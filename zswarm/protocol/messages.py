@@ -189,11 +189,12 @@ class Lease(Message, frozen=True, tag="lease"):
     trial_s: Seconds = 0.0  # seconds of one trial of the probe
     reason: Text = ""  # of a failure
     passing: bool = False  # the failure may pass: the run may reserve again later
-    # While it is preparing: kernels that are compiled, or how many trials of the probe were begun,
-    # and how many there are.
+    # While it is preparing: kernels that are not compiled, or how many trials of the probe were
+    # begun, and how many there are; and how many kernels were to be compiled.
     compiling: Count = 0
     probe_begun: Count = 0
     probe_trials: Count = 0
+    kernels: Count = 0
 
 
 class Outcomes(Message, frozen=True, tag="outcomes"):

@@ -1,5 +1,6 @@
 """What a user knows of servers that prepare their first slot."""
 
+import re
 import threading
 
 import pytest
@@ -21,7 +22,10 @@ class User:
         self.optimizer = Optimizer()
         options, hinted = ClusterConfig(), threading.Event()
         self._watch = Watch(
-            *(options, "stage", None, hinted), self.lines.append, lambda: None
+            *(options, "stage", None, hinted),
+            say=self.lines.append,
+            wait=lambda line: self.lines.append(re.sub(r" \([0-9]+ s\)$", "", line)),
+            check=lambda: None,
         )
         (ask,) = self.optimizer.feed(Seen("a"))
         (self._ask,) = self.optimizer.answer(ask, offer(4))
@@ -60,9 +64,9 @@ def test_a_server_that_prepares_is_asked_again_at_most_twice_a_second() -> None:
         return optimizer.now - begun
 
     assert reports() == 0.0, "it answered to reserve"
-    assert reports(compiling=14) == 0.0
-    assert reports(compiling=13) == PROGRESS_S
-    assert reports(compiling=13) == AGAIN_S
+    assert reports(compiling=14, kernels=14) == 0.0
+    assert reports(compiling=13, kernels=14) == PROGRESS_S
+    assert reports(compiling=13, kernels=14) == AGAIN_S
 
 
 def test_a_user_knows_what_servers_do_that_prepare(
@@ -70,9 +74,9 @@ def test_a_user_knows_what_servers_do_that_prepare(
 ) -> None:
     user = User(monkeypatch)
     assert user.reads() == ["a: getting stage ready"]
-    once = "once for each version of zswarm"
-    assert user.reads(compiling=14) == [f"a: compiling 14 kernels, {once}"]
-    assert user.reads(compiling=1) == [f"a: compiling 1 kernel, {once}"]
+    for missing, number in ((14, 1), (13, 2), (1, 14)):
+        said = user.reads(compiling=missing, kernels=14)
+        assert said == [f"a: compiling kernel {number} of 14, once"]
     assert user.reads(probe_begun=3, probe_trials=8) == ["a: plays trial 3 of 8 of stage"]
     assert user.reads(probe_begun=3, probe_trials=8) == [], "it is said already"
     assert user.reads(probe_begun=1, probe_trials=1) == ["a: plays one trial of stage"]

@@ -27,6 +27,8 @@ from zswarm.ot.logger import Generation, Started
 path = experiment.find("minisim")
 shown = display(as_json=False)
 shown.on_start(Started(Path("runs/minisim"), experiment.load(path, ["generations=100000"]), 0))
+shown.on_wait("lab-01-0123abcd: compiling kernel 3 of 14, once (5 s)")
+shown._progress.refresh()
 def played(generation):
     evaluations = 10**generation.bit_length()
     numbers = (-123.456789, -1234.56789, evaluations, 1024, 4096, {})
@@ -87,6 +89,7 @@ def test_the_line_of_a_run_is_one_line(
     assert "a line" in lines
     assert "25001 generations are left" in lines
     assert "18750 are left in the assessment" in lines
+    assert any("lab-01-0123abcd:" in line for line in lines), lines
     assert any(
         line.startswith("99999/100000 ") and "best -123.46" in line for line in lines
     ), lines

@@ -216,11 +216,12 @@ def test_a_run_knows_what_its_slots_do() -> None:
     server = Server(2)
     lease = server.reserve(slots=2).lease
     query = server.ask(Renew(lease=lease, known_ready=0))
-    server.feed(Preparing(0, 12, PROBE_TRIALS))
+    server.feed(Preparing(0, 12, PROBE_TRIALS, 14))
     assert query in server.open, "at most once a second"
     server.wait(1.0)
     told = server.answer(query, Lease)
-    assert (told.compiling, told.probe_begun, told.probe_trials) == (12, 0, 0)
+    assert (told.compiling, told.kernels) == (12, 14)
+    assert (told.probe_begun, told.probe_trials) == (0, 0)
     query = server.ask(Renew(lease=lease, known_ready=0))
     server.wait(2.0)
     assert query in server.open, "nothing else happened"

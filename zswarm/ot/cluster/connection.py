@@ -168,6 +168,7 @@ class Connection:
         run: str,
         slots: int,
         say: Callable[[str], None],
+        wait: Callable[[str], None],
         stop: threading.Event,
         program: "RunProgram | None" = None,
         probe: bytes = b"",
@@ -179,7 +180,7 @@ class Connection:
         Args:
             run, program: how servers know the holder of the leases.
             slots: wanted at most, on every server.
-            say: takes lines for the user.
+            say, wait: take lines for the user, ``wait`` those about what is waited for.
             stop: ends an evaluation when it is set.
             probe: digest of the probe's outcomes, if it is known.
             taken_over: returns whether another program resumed the run, as its record shows.
@@ -201,9 +202,8 @@ class Connection:
         asked = terms(experiment, options, simulator, program, **run_of)
         hosted = problem.representation, simulator.participants
         controllers = RemoteControllers(*hosted) if asked.reserve.asks else None
-        name = experiment.problem.simulator
-        check = functools.partial(self._check, stop)
-        watch = Watch(options, name, local, hinted=self._hinted, say=say, check=check)
+        name, check = experiment.problem.simulator, functools.partial(self._check, stop)
+        watch = Watch(options, name, local, self._hinted, say, wait, check)
         cluster = Cluster(
             RunKey(options.realm, self._user(), run),
             asked,

@@ -56,10 +56,7 @@ def survey(
 ) -> Survey:
     """Return all servers that show up within a time, those of a realm with their offers."""
     try:
-        if reach.through_router:
-            opened = session.open_through_router(reach, timeout_s=max(wait_s, DIAL_S))
-        else:
-            opened = session.open_optimizer(reach)
+        opened = _open(reach, max(wait_s, DIAL_S))
     except NoRouter:
         return Survey([], {}, diagnosis.diagnose(realm, [], reach))
     try:
@@ -75,6 +72,29 @@ def survey(
     return Survey(
         [found[name] for name in sorted(found)], dict(sorted(others.items())), findings
     )
+
+
+def names(realm: str, reach: Reach, *, wait_s: float) -> list[str]:
+    """Return the servers of a realm that show up within a time and answer; none without a router.
+
+    Raises:
+        ConfigError: installed keys cannot be used.
+    """
+    try:
+        opened = _open(reach, wait_s)
+    except NoRouter:
+        return []
+    try:
+        _, found = _ask_all(opened, realm, Requirements(), wait_s)
+    finally:
+        session.close(opened)
+    return sorted(name for name, server in found.items() if server.offer is not None)
+
+
+def _open(reach: Reach, timeout_s: float) -> zenoh.Session:
+    if reach.through_router:
+        return session.open_through_router(reach, timeout_s=timeout_s)
+    return session.open_optimizer(reach)
 
 
 _Inbox = queue.SimpleQueue[ServerKey | Found]

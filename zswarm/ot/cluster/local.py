@@ -1,24 +1,16 @@
 """This machine's slots: a private ``zswarm-ss`` child that listens in a private folder."""
 
-import contextlib
-import fcntl
-import os
-import shutil
-import stat
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections import deque
-from pathlib import Path
 from typing import IO
 
 from zswarm.system.processes import MODULE
+from zswarm.system.temporary import LockedFolder
 
 NAME = "local"  # of the server; its id is this, "-" and 8 hex digits
-PREFIX = "zswarm-local-"  # of its folder
-YOUNG_S = 60.0  # a folder's program may not have locked it yet
 AGAIN, AGAIN_S = 3, 60.0  # how often it is started again, if it is killed within so long
 LOG_TAIL = 1000  # characters shown if it ended by itself
 
@@ -28,12 +20,9 @@ class LocalServer:
 
     def __init__(self, slots: int, realm: str) -> None:
         self.slots = slots
-        remove_orphans(Path(tempfile.gettempdir()))
-        self._folder = tempfile.TemporaryDirectory(prefix=PREFIX)  # mode 0700
-        self._lock = os.open(self._folder.name, os.O_RDONLY)
-        fcntl.flock(self._lock, fcntl.LOCK_EX)
-        self.endpoint = f"unixsock-stream/{Path(self._folder.name) / 'ss.sock'}"
-        self._log = Path(self._folder.name) / "log"
+        self._folder = LockedFolder()
+        self.endpoint = f"unixsock-stream/{self._folder.path / 'ss.sock'}"
+        self._log = self._folder.path / "log"
         self._realm, self._owner = realm, threading.Lock()  # runs of a study share it
         self._started: deque[float] = deque(maxlen=1 + AGAIN)  # the last times
         self._start()
@@ -86,8 +75,7 @@ class LocalServer:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-        self._folder.cleanup()
-        os.close(self._lock)
+        self._folder.remove()
 
     def _stdin(self) -> IO[bytes]:
         assert self._process.stdin is not None  # noqa: S101  it is asked for
@@ -99,22 +87,3 @@ class LocalServer:
         if code is None:
             return ""
         return f"exit code {code}: {self._log.read_text(errors='replace')[-LOG_TAIL:].strip()}"
-
-
-def remove_orphans(parent: Path) -> None:
-    """Remove the private folders that killed programs of this user have left.
-
-    A program holds a lock on its folder while it lives.
-    """
-    for folder in parent.glob(f"{PREFIX}*"):
-        with contextlib.suppress(OSError):
-            found = folder.lstat()
-            young = time.time() - found.st_mtime < YOUNG_S
-            if found.st_uid != os.getuid() or not stat.S_ISDIR(found.st_mode) or young:
-                continue
-            lock = os.open(folder, os.O_RDONLY | os.O_NOFOLLOW)
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(folder)
-            finally:
-                os.close(lock)

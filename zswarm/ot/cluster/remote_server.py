@@ -49,7 +49,6 @@ import numpy as np
 from zswarm.ot.cluster.machines import name_of
 from zswarm.ot.cluster.pace import Pace
 from zswarm.protocol.messages import PROBE_DIGEST, Lease
-from zswarm.system.format import plural
 
 # Before one is asked again that cannot serve now; longer each time, until it sends an outcome.
 SETBACKS_S = (5, 10, 20, 40, 80, 160, 320, 600)
@@ -86,15 +85,16 @@ MOVES = {
 class PrepareProgress(NamedTuple):
     """How far a server is that prepares its first slot."""
 
-    compiling: int  # kernels
+    compiling: int  # kernels that are not compiled
     probe_begun: int  # trials
     probe_trials: int  # that the probe has
+    kernels: int  # that were to be compiled
 
     def words(self, simulator: str) -> str:
         """Return what it does, for the user."""
         if self.compiling:
-            kernels = plural(self.compiling, "kernel")
-            return f"compiling {kernels}, once for each version of zswarm"
+            kernels = max(self.compiling, self.kernels)
+            return f"compiling kernel {kernels - self.compiling + 1} of {kernels}, once"
         if self.probe_trials == 1:
             return f"plays one trial of {simulator}"
         return f"plays trial {self.probe_begun} of {self.probe_trials} of {simulator}"
@@ -188,7 +188,7 @@ class RemoteServer(msgspec.Struct, eq=False):
         was_ready, was = self.ready, self.progress
         self.lease, self.slots = lease.lease, min(lease.slots, self.wanted)
         self.ready = min(lease.ready, self.slots)
-        progress = lease.compiling, lease.probe_begun, lease.probe_trials
+        progress = lease.compiling, lease.probe_begun, lease.probe_trials, lease.kernels
         self.progress = PrepareProgress(*progress) if any(progress) else None
         if self.ready > was_ready or (self.progress and not was):
             return 0.0

@@ -11,15 +11,19 @@ from zswarm.errors import EvaluationError
 from zswarm.ot.cluster.local import LocalServer
 from zswarm.ot.cluster.remote_server import Standing
 from zswarm.ot.notes import Note, RunEvent
+from zswarm.system.format import duration
 
 PREPARING_S = 1.0  # of a server, before it is reported
 PAUSE_S = 3.0  # without any server, before it is reported
+# Between two lines about what is waited for: in its first minute, and later.
+AGAIN_S, LATER_S = 1.5, 60.0
 HINT = "zswarm-ot doctor explains why, docs/network.md what to do"
 REFUSALS = (
     RunEvent.SERVER_REFUSED,
     RunEvent.SERVER_MISMATCH,
     RunEvent.SERVER_BANNED,
 )
+STARTING = "starting the slots of this machine"
 NOBODY_YET = "no slot is ready yet: waiting for one (Ctrl-C stops; nothing is lost)"
 NOBODY = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
 
@@ -32,6 +36,7 @@ class Watch(msgspec.Struct, eq=False):
     local: LocalServer | None  # this machine's slots
     hinted: threading.Event  # set once the user knows that no server is found
     say: Callable[[str], None]  # takes a line for the user
+    wait: Callable[[str], None]  # takes a line about what is waited for
     check: Callable[[], None]  # raises Stopped when the run is to end
     _begun: float = msgspec.field(default_factory=time.monotonic)
     _met: bool = False  # a server of the network
@@ -40,10 +45,13 @@ class Watch(msgspec.Struct, eq=False):
     _served_at: float = msgspec.field(default_factory=time.monotonic)
     _served: bool = False
     _said: str = ""
+    _waiting: str = ""  # for what, as last reported
+    _again_at: float = 0.0
 
     def begin(self) -> None:
         """Begin with another workload."""
         self._served_at, self._served, self._said = time.monotonic(), False, ""
+        self._waiting = ""
 
     def hint(self, item: object, standing: Standing) -> None:
         """Report once that no server is found, if other machines are asked for.
@@ -90,7 +98,10 @@ class Watch(msgspec.Struct, eq=False):
             raise EvaluationError(f"the slots of this machine ended: {words}")
         elif standing.preparing:
             if idle_s > PREPARING_S:
-                self._tell(self._preparing(standing))
+                self._wait(self._preparing(standing), idle_s)
+        elif local is not None and not (self._ever_served or standing.own):
+            if idle_s > PREPARING_S:
+                self._wait(STARTING, idle_s)
         elif idle_s > PAUSE_S and self._said not in (NOBODY, NOBODY_YET):
             self._tell(NOBODY if self._served or local is None else NOBODY_YET)
             return local is None
@@ -98,11 +109,20 @@ class Watch(msgspec.Struct, eq=False):
 
     def _preparing(self, standing: Standing) -> str:
         """Return what the first server does that prepares a slot; or just that some do."""
+        first = standing.preparing[0]
+        here = "" if first in standing.own else f"{first}: "
         if standing.progress is not None:
-            words = standing.progress.words(self.simulator)
-            return f"{standing.preparing[0]}: {words}"
-        names = ", ".join(standing.preparing)
-        return self._said or f"{names}: getting {self.simulator} ready"
+            return here + standing.progress.words(self.simulator)
+        known = self._waiting if self._waiting != STARTING else ""
+        return known or f"{here}getting {self.simulator} ready"
+
+    def _wait(self, line: str, idle_s: float) -> None:
+        """Report what is waited for and since when: again now and then, for it may take long."""
+        now = time.monotonic()
+        if line != self._waiting or now >= self._again_at:
+            self._waiting = line
+            self._again_at = now + (AGAIN_S if idle_s < LATER_S else LATER_S)
+            self.wait(f"{line} ({duration(round(idle_s))})")
 
     def _tell(self, line: str) -> None:
         if line != self._said:

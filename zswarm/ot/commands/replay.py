@@ -43,7 +43,7 @@ def command(
     """Play a recorded trial again, and watch it in the browser.
 
     The trial is computed from the record, bit for bit as in the run. Without --to and -o a page
-    with a player is opened in the browser; its file is private, and its name is printed.
+    with a player, replay.html in the run's folder, is opened in the browser.
 
     \b
       zswarm-ot replay runs/stadium
@@ -66,7 +66,7 @@ def command(
         tables.line(f"{title}: not the recorded trial: {found.note}", stderr=True)
     if found.error:
         tables.line(f"{title}: the trial failed: {found.error}", stderr=True)
-    output, hint = _write(found, title, kind, output)
+    output, hint = _write(found, title, kind, output, run.folder)
     if as_json:
         fitness = [None if value != value else value for value in found.fitness]
         more = {"fitness": fitness, "note": found.note, "error": found.error}
@@ -77,7 +77,7 @@ def command(
 
 
 def _write(
-    found: "Trace", title: str, kind: str | None, output: Path
+    found: "Trace", title: str, kind: str | None, output: Path, folder: Path
 ) -> tuple[Path, str]:
     """Write a file, or open the browser; return the file, and a hint."""
     from zswarm.ot.analysis import csv as spreadsheet
@@ -91,7 +91,7 @@ def _write(
         case "html":
             write_for_user(output, page.page(found, title).encode())
         case _:
-            output, opened = page.show(page.page(found, title))
+            output, opened = page.show(page.page(found, title), folder)
             return (
                 output,
                 "" if opened else " (no browser was found: open this file in one)",

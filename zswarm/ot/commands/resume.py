@@ -36,12 +36,14 @@ MENU = ("Evolve", 2)
 )
 @options.cluster_options
 @options.dashboard_option
+@options.detach_option
 @options.json_lines_option
 def command(
     folder: Path,
     generation: int | None,
     trusted: tuple[str, ...],
     with_dashboard: bool,
+    detach: bool,
     as_json: bool,
     **cluster: Any,
 ) -> None:
@@ -55,10 +57,14 @@ def command(
       zswarm-ot resume runs/stadium --from 13
       zswarm-ot resume runs/stadium --trust lab-02
     """
+    from zswarm.ot.commands.shared import detaching
+
+    # Before it starts threads or other processes.
+    settle = detaching.detach(wanted=detach, as_json=as_json)
     from zswarm.ot import evolution
     from zswarm.ot.cluster.connection import Connection
     from zswarm.ot.commands.shared import playing
-    from zswarm.ot.display.progress import display, summary
+    from zswarm.ot.display.progress import display
     from zswarm.ot.record.folder import DATABASE, load_experiment
     from zswarm.ot.record.results import finished_result
     from zswarm.ot.study.study import Study, is_study
@@ -67,27 +73,18 @@ def command(
         _go_back(folder, generation)
     if not (folder / DATABASE).exists() and is_study(folder):
         _refuse_study(folder, "--trust" if trusted else "")
+        shown_as = {"as_json": as_json, "with_dashboard": with_dashboard}
         with playing.figures() as folders, Study.open(folder) as study:
             settings = options.with_cluster(study.experiment, cluster).cluster
             opened: Any = Connection(settings) if study.left else contextlib.nullcontext()
             with opened as connection:
-                playing.play(
-                    study,
-                    connection,
-                    folders,
-                    as_json=as_json,
-                    with_dashboard=with_dashboard,
-                )
+                settle(folder)
+                playing.play(study, connection, folders, **shown_as)
         return
     complete = options.with_cluster(load_experiment(folder), cluster)
     shown = display(as_json=as_json)
     if (result := finished_result(folder, complete)) is not None:
-        more = "to evolve further, raise generations in its experiment.toml"
-        click.echo(f"{clean(str(folder))} is finished; {more}", err=True)
-        if as_json:
-            shown.on_end(result)
-        else:
-            click.echo(summary(result))
+        _show_finished(folder, result, shown, as_json=as_json)
         return
     with (
         playing.figures() as folders,
@@ -95,7 +92,19 @@ def command(
         evolution.resume(folder, connection, shown, trusted) as run,
     ):
         folders.append(run.folder)
+        settle(folder)
         playing.finish(run, shown, with_dashboard=with_dashboard)
+
+
+def _show_finished(folder: Path, result: Any, shown: Any, *, as_json: bool) -> None:
+    from zswarm.ot.display.progress import summary
+
+    more = "to evolve further, raise generations in its experiment.toml"
+    click.echo(f"{clean(str(folder))} is finished; {more}", err=True)
+    if as_json:
+        shown.on_end(result)
+    else:
+        click.echo(summary(result))
 
 
 def _refuse_study(folder: Path, option: str) -> None:

@@ -25,6 +25,10 @@ class NotebookDisplay(PlainDisplay):
         self._messages.append(line)
         self._update()
 
+    def on_wait(self, line: str) -> None:
+        self._progress = [line]
+        self._update()
+
     def on_generation(self, generation: Generation) -> None:
         self._progress = [progress(generation, self._generations)]
         if time.monotonic() > self._updated + UPDATE_S:

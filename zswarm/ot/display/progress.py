@@ -26,6 +26,9 @@ class PlainDisplay(Logger):
     def on_say(self, line: str) -> None:
         echo(line, sys.stderr)
 
+    def on_wait(self, line: str) -> None:
+        self.on_say(line)
+
     def on_generation(self, generation: Generation) -> None:
         self.on_say(progress(generation, self._generations))
 
@@ -82,21 +85,24 @@ class LiveDisplay(PlainDisplay):
     def on_say(self, line: str) -> None:
         say(self._progress.console, line)
 
+    def on_wait(self, line: str) -> None:
+        what, since = line.removesuffix(")").rsplit(" (", 1)
+        room = self._room()
+        text = fitting([what[:room].rstrip(), f"({since})"], room)
+        self._progress.update(self._task, text=text)
+
     def on_generation(self, generation: Generation) -> None:
         g, now = generation, time.monotonic()
         self._first = self._first or (now, g.evaluations)
         rate = (g.evaluations - self._first[1]) / max(1e-9, now - self._first[0])
         parts = [f"best {g.best:.5g}", f"mean {g.mean:.5g}", f"{rate:.0f}/s", _servers(g)]
-        room = (
-            self._progress.console.width - 2 * len(str(self._generations)) - self._taken
-        )
         self._last = g.last or self._generations
         self._after = self._last * g.after  # in generations
         self._progress.update(
             self._task,
             completed=g.generation + 1,
             total=self._last + self._after,
-            text=fitting(parts, room),
+            text=fitting(parts, self._room()),
             done=f"{g.generation + 1}/{self._last}",
         )
 
@@ -110,6 +116,11 @@ class LiveDisplay(PlainDisplay):
             total=self._last + self._after,
             text=f"assessment {part:.0%}",
         )
+
+    def _room(self) -> int:
+        """Return how many columns a text may have."""
+        numbers = 2 * len(str(self._generations))
+        return int(self._progress.console.width) - numbers - self._taken
 
     def on_end(self, result: Result | None) -> None:
         self._progress.stop()

@@ -24,6 +24,7 @@ from zswarm.ot.record import database
 from zswarm.security import keyring
 from zswarm.system.extras import how, requirements
 from zswarm.system.processes import CODE
+from zswarm.system.temporary import PREFIX as FOLDER
 from zswarm.system.version import VERSION
 
 OLDEST, NEWEST = (3, 11), (3, 14)  # Python versions
@@ -214,7 +215,7 @@ def cache() -> Findings:
 def temporary() -> Findings:
     """Check the temporary folder, in which the sockets of this machine's slots are created."""
     folder = Path(tempfile.gettempdir())
-    if len(os.fsencode(folder / "zswarm-12345678" / "ss.sock")) > LONGEST_SOCKET:
+    if len(os.fsencode(folder / f"{FOLDER}12345678" / "ss.sock")) > LONGEST_SOCKET:
         yield broken(
             f"{folder}: the path is too long for a socket",
             "set TMPDIR to a shorter one, such as /tmp",

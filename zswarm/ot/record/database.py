@@ -5,12 +5,12 @@ import errno
 import os
 import shutil
 import sqlite3
-import tempfile
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from zswarm.ot.record.schema import TABLES
+from zswarm.system.temporary import LockedFolder
 
 WAL = b"\x02\x02"  # bytes 18 and 19 of a database with a write-ahead log
 TRIGGERS = "SELECT 1 FROM sqlite_master WHERE type = 'trigger'"
@@ -118,9 +118,7 @@ def read_only(path: Path) -> Iterator[sqlite3.Connection]:
             if error.sqlite_errorcode & 0xFF not in unwritable or not log.is_file():
                 raise
             # SQLite needs an index next to the log, but may not write there.
-            copy = Path(
-                stack.enter_context(tempfile.TemporaryDirectory(prefix="zswarm-"))
-            )
+            copy = stack.enter_context(LockedFolder()).path
             for source in (path, log):
                 shutil.copyfile(source, copy / source.name)
             database = opened(copy / path.name, "mode=rw")

@@ -5,7 +5,6 @@ import html
 import os
 import re
 import sys
-import tempfile
 import webbrowser
 from collections.abc import Iterator
 from importlib.resources import files
@@ -13,8 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
+from zswarm.errors import ConfigError
 from zswarm.ot.replay.encoding import encode
 from zswarm.ot.replay.trace import Trace
+from zswarm.system.files import write_whole
 from zswarm.system.text import clean
 
 HERE = files("zswarm.ot.replay") / "pages"
@@ -72,11 +73,23 @@ def _rows(trace: Trace) -> Iterator[list[object]]:
             yield [trace.at(number), agent, index, *where, *numbers]
 
 
-def show(text: str) -> tuple[Path, bool]:
-    """Open a page in the browser; return its private temporary file and whether that worked."""
-    path = Path(tempfile.mkdtemp(prefix="zswarm-replay-")) / NAME
-    path.write_text(text, encoding="utf-8")
-    return path, _has_screen() and webbrowser.open(path.as_uri())
+def show(text: str, folder: Path) -> tuple[Path, bool]:
+    """Write a page to the folder of its run, and open it in the browser.
+
+    Returns:
+        its file, and whether a browser was opened.
+
+    Raises:
+        ConfigError: the folder cannot be written.
+    """
+    path = folder / NAME
+    try:
+        write_whole(path, text.encode())
+    except OSError as error:
+        raise ConfigError(
+            f"{path} cannot be written: {error.strerror}; name another file with -o"
+        ) from None
+    return path, _has_screen() and webbrowser.open(path.resolve().as_uri())
 
 
 def _has_screen() -> bool:

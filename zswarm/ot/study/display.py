@@ -15,6 +15,7 @@ from zswarm.system.format import duration, plural
 from zswarm.system.terminal import console, moves
 
 REFRESHES = 4  # a second
+WAITING_S = 1.5  # between two lines about the same wait, which all runs report
 
 
 class _RunLogger(Logger):
@@ -25,6 +26,9 @@ class _RunLogger(Logger):
 
     def on_say(self, line: str) -> None:
         self._display.on_say(f"{self._planned.name}: {line}")
+
+    def on_wait(self, line: str) -> None:
+        self._display.on_wait(line)
 
 
 class _JsonRunLogger(_RunLogger):
@@ -49,6 +53,9 @@ class _LiveRunLogger(_RunLogger):
             text="waiting for a slot",
         )
 
+    def on_wait(self, line: str) -> None:
+        self._display.progress.update(self._task, text=line)
+
     def on_generation(self, generation: Generation) -> None:
         done, text = generation.generation + 1, f"best {generation.best:.5g}"
         self._display.progress.update(self._task, completed=done, text=text)
@@ -64,12 +71,20 @@ class PlainStudyDisplay(StudyLogger):
 
     def __init__(self, study: Study) -> None:
         self._ended, self._planned = 0, len(study.planned)
+        self._waiting = "", 0.0  # for what, and when it was printed
 
     def run_logger(self, planned: Planned) -> Logger:
         return self.logs_runs(self, planned)
 
     def on_say(self, line: str) -> None:
         tables.echo(line, sys.stderr)
+
+    def on_wait(self, line: str) -> None:
+        """Print what a run waits for, unless another run reported it a moment ago."""
+        what, now = line.split(" (")[0], time.monotonic()
+        if what != self._waiting[0] or now >= self._waiting[1] + WAITING_S:
+            self._waiting = what, now
+            self.on_say(line)
 
     def on_run(self, ended: RunEnded) -> None:
         self._ended += 1

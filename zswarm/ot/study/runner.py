@@ -145,7 +145,7 @@ class Player:
                 running.routine = self._is_routine(note)
             case "on_progress", (_, _, int() as trials):
                 running.trials = trials
-            case "on_start" | "on_generation", _:
+            case "on_start" | "on_wait" | "on_generation", _:
                 getattr(running.logger, method)(*arguments)
 
     def _is_routine(self, note: Note) -> bool:

@@ -7,7 +7,6 @@ folder for each run; a lock keeps other programs out.
 import contextlib
 import os
 import shutil
-import threading
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,6 +19,7 @@ from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.build import build
 from zswarm.ot.cluster.connection import Connection
+from zswarm.ot.record import control_file
 from zswarm.ot.record.folder import (
     DATABASE,
     EXPERIMENT,
@@ -70,7 +70,7 @@ class Study:
             clean(name) for name in found - {one.name for one in planned}
         )
         self._lock = lock
-        self._stop = threading.Event()
+        self._stop = control_file.StopRequest(folder)
         self._player: Player | None = None
 
     @classmethod
@@ -110,6 +110,7 @@ class Study:
         with contextlib.ExitStack() as undo:
             lock = lock_folder(folder, "study")
             undo.callback(os.close, lock)
+            control_file.forget(folder)
             where = str(folder / EXPERIMENT)
             planned, known = checked_plan(complete, where, _found(folder))
             study = cls(folder, complete, planned, lock, known)

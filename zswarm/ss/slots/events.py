@@ -41,8 +41,9 @@ class HolderAlive(msgspec.Struct, frozen=True):
 class Preparing(SlotMessage, frozen=True):
     """The slot has built its problem; with nothing to compile, others find what it compiled."""
 
-    compiling: int  # kernels, before the first trial
+    compiling: int  # kernels that are not compiled, before the first trial
     probe_trials: int  # that the probe has: one if the simulator is not repeatable
+    kernels: int = 0  # that were to be compiled
 
 
 class Prepared(SlotMessage, frozen=True):

@@ -15,7 +15,7 @@ from collections.abc import Collection
 import msgspec
 
 from zswarm.protocol.messages import PROBE_DIGEST, PROBE_TRIALS
-from zswarm.ss.slots.events import Prepared
+from zswarm.ss.slots.events import Prepared, Preparing
 
 PROBE_S = 10.0  # that the probe may take, except for its first trial
 
@@ -24,7 +24,8 @@ class ProbeTrials(msgspec.Struct, eq=False):
     """The trials of the probe that the slots of a lease play."""
 
     trials: int = PROBE_TRIALS  # 1 if the simulator is not repeatable
-    compiling: int = 0  # kernels
+    compiling: int = 0  # kernels that are not compiled
+    kernels: int = 0  # that were to be compiled
     compiled: bool = False  # all slots find what is to be compiled
     trial_s: float = 0.0  # of a trial; of one that loaded nothing, if there is any
     _loading: bool = True  # there is none
@@ -40,10 +41,11 @@ class ProbeTrials(msgspec.Struct, eq=False):
         self._begin(first, 1, now)
         return first, self.trials if alone else 1
 
-    def built(self, compiling: int, trials: int, now: float) -> None:
+    def built(self, event: Preparing, now: float) -> None:
         """Take note of what a slot compiles, and how many trials there are."""
-        self.compiling, self.trials = compiling, trials
-        if not compiling and not self.compiled:
+        self.trials = event.probe_trials
+        self.compiling, self.kernels = event.compiling, event.kernels
+        if not self.compiling and not self.compiled:
             self.compiled, self._begun_at = True, now
 
     def played(self, event: Prepared) -> None:
@@ -98,12 +100,12 @@ class ProbeTrials(msgspec.Struct, eq=False):
             found.append(self._digests[len(found)])
         return b"".join(found)
 
-    def progress(self) -> tuple[int, int, int]:
-        """Return how many kernels are compiled, and trials begun, and how many there are."""
+    def progress(self) -> tuple[int, int, int, int]:
+        """Return how far it is, as in ``LeaseProgress``."""
         if self.compiling:
-            return self.compiling, 0, 0
+            return self.compiling, 0, 0, self.kernels
         begun = min(self._begun, self.trials)
-        return (0, begun, self.trials) if self.compiled else (0, 0, 0)
+        return (0, begun, self.trials, 0) if self.compiled else (0, 0, 0, 0)
 
     def _missing(self, playing: Collection[int]) -> list[int]:
         """Return the trials that no slot plays or played."""

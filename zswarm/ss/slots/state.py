@@ -75,9 +75,10 @@ class KnownProbe(NamedTuple):
 class LeaseProgress(NamedTuple):
     """How far a lease is whose slots are prepared."""
 
-    compiling: int = 0  # kernels
+    compiling: int = 0  # kernels that are not compiled
     probe_begun: int = 0  # trials
     probe_trials: int = 0  # that the probe has
+    kernels: int = 0  # that were to be compiled
 
 
 class Slot(msgspec.Struct, eq=False):

@@ -211,8 +211,7 @@ class SlotTable:
     def _preparing(self, slot: Slot, event: events.Preparing) -> None:
         """Take note of how far a slot is; one that has lost its lease is not asked for."""
         if slot.lease is not None and slot.state == "preparing":
-            counts = event.compiling, event.probe_trials
-            slot.lease.trials.built(*counts, self._out.now)
+            slot.lease.trials.built(event, self._out.now)
 
     def _slot_event(self, slot: Slot, event: events.SlotEvent) -> None:
         """Take an event of a slot's process; a slot that has lost its lease becomes free."""

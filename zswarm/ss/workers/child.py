@@ -31,7 +31,7 @@ import numpy as np
 from msgspec.msgpack import Decoder, Encoder
 
 from zswarm.errors import ConfigError, EvaluationError, RemoteProtocolError
-from zswarm.kernels.jit import PLAIN, compile_all, not_compiled
+from zswarm.kernels.jit import PLAIN, compile_all
 from zswarm.plugins.version_hash import version_hash
 from zswarm.protocol import codec
 from zswarm.protocol.messages import (
@@ -190,9 +190,11 @@ class SlotProcess:
         )
         trials = PROBE_TRIALS if self.simulator.repeatable else 1
         if not reserve.asks:  # else no kernel is needed
-            if missing := not_compiled():
-                self._pipe.send(encode(Preparing(self._slot, missing, trials)))
-            compile_all()
+
+            def report(missing: int, kernels: int) -> None:
+                self._pipe.send(encode(Preparing(self._slot, missing, trials, kernels)))
+
+            compile_all(report)
         self._pipe.send(encode(Preparing(self._slot, 0, trials)))
         return self._play(command.first, command.most)
 

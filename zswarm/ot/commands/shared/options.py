@@ -105,6 +105,11 @@ dashboard_option = click.option(
     callback=_need_dashboard,
     help="Show it live in the browser as well; the address is printed.",
 )
+detach_option = click.option(
+    "--detach",
+    is_flag=True,
+    help="Continue without this terminal, also when it is closed; see attach, status and stop.",
+)
 set_option = set_option_of("experiment", "optimizer.population=100")
 out_option = click.option(
     "--out",

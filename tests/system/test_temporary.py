@@ -1,10 +1,10 @@
-"""Folders of this machine's slots that killed optimizers have left."""
+"""Temporary folders that killed programs have left."""
 
 import fcntl
 import os
 from pathlib import Path
 
-from zswarm.ot.cluster.local import PREFIX, remove_orphans
+from zswarm.system.temporary import PREFIX, LockedFolder, remove_orphans
 
 
 def left(parent: Path, name: str, age_s: float = 3600.0) -> Path:
@@ -33,3 +33,13 @@ def test_folders_of_killed_programs_are_removed_and_those_of_others_stay(
     assert all(folder.exists() for folder in (living, young, other, linked))
     remove_orphans(tmp_path)
     assert not living.exists(), "its program has ended"
+
+
+def test_a_folder_is_removed_at_its_end_and_locked_until_then() -> None:
+    with LockedFolder() as folder:
+        (folder.path / "inside").write_text("words")
+        before = folder.path.stat().st_mtime - 3600.0
+        os.utime(folder.path, (before, before))
+        remove_orphans(folder.path.parent)
+        assert (folder.path / "inside").exists()
+    assert not folder.path.exists()

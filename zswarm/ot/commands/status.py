@@ -1,0 +1,80 @@
+"""``zswarm-ot status``: show how far runs are."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from zswarm.errors import ConfigError
+from zswarm.ot.commands.shared import options, suggestions
+from zswarm.ot.display import tables
+from zswarm.system.format import duration
+from zswarm.system.text import clean
+
+MENU = ("Evolve", 4)
+FIELDS = ("status", "generation", "generations", "best", "eta_s")
+FIRST = ("running", "paused", "stopping")
+
+
+@click.command("status")
+@click.argument(
+    "folder",
+    type=options.PATH,
+    default=suggestions.RUNS,
+    metavar="[RUN|STUDY|FOLDER]",
+    shell_complete=suggestions.runs,
+)
+@options.json_option
+def command(folder: Path, as_json: bool) -> None:
+    """Show how far runs are, those in progress first.
+
+    Shows the runs below a folder ("runs" by default), also those that run detached, in other
+    terminals, or on other machines that share the folder: generation, best fitness, and the time
+    that is left.
+
+    \b
+      zswarm-ot status
+      zswarm-ot status runs/stadium
+    """
+    from zswarm.ot.record.run_index import folders_below
+
+    # The default does not exist before the first run.
+    if folder != suggestions.RUNS and not folder.is_dir():
+        raise ConfigError(f"{clean(str(folder))}: no such folder")
+    rows = [_row(run) for run in folders_below(folder)]
+    rows.sort(key=lambda row: row["status"] not in FIRST)
+    if as_json:
+        tables.print_json({"runs": rows})
+    elif rows:
+        _show(rows)
+    else:
+        tables.line(f"no run in {clean(str(folder))}")
+
+
+def _row(folder: Path) -> dict[str, Any]:
+    from zswarm.ot.dashboard.tail import RecordTail
+
+    tail = RecordTail(folder)
+    tail.look()
+    name = clean(str(folder))
+    if "error" in tail.state:
+        return {"run": name, "status": "unreadable", "error": tail.state["error"]}
+    return {"run": name, **{key: tail.state[key] for key in FIELDS}}
+
+
+def _show(rows: list[dict[str, Any]]) -> None:
+    table = tables.table("run", "status", ">generation", ">best", ">time left")
+    for row in rows:
+        if "error" in row:
+            tables.row(table, row["run"], row["error"], "", "", "")
+            continue
+        best, left = row["best"], row["eta_s"]
+        tables.row(
+            table,
+            row["run"],
+            row["status"],
+            f"{row['generation']}/{row['generations']}",
+            "" if best is None else f"{best:.6g}",
+            "" if left is None else duration(left),
+        )
+    tables.show(table)
