@@ -124,3 +124,11 @@ def test_the_time_is_the_latest_of_clocks_and_scans(readings: Readings) -> None:
     assert readings.clock_ns == 800
     readings.take(Clock(stamp_ns=700))
     assert readings.clock_ns == 800, "that clock was late"
+
+
+def test_scans_that_wait_are_behind_the_clock(readings: Readings) -> None:
+    assert readings.behind_ns([0, 1]) == 0, "nothing is known yet"
+    for message in (scan(0, 400), scan(1, 200), scan(1, 300), Clock(stamp_ns=900)):
+        readings.take(message)
+    assert readings.behind_ns([0, 1]) == 600
+    assert readings.behind_ns([0]) == 500
