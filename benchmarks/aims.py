@@ -16,6 +16,9 @@ BESIDE_C = (
 )
 
 
+NOISY = ("minisim", "emergency-exit", "arena-foraging", "foraging-physical")
+
+
 class Aim(NamedTuple):
     """A target.
 
@@ -63,6 +66,7 @@ def aims(results: Results) -> Iterator[Aim]:
     yield from of_startup(results.get("startup"))
     yield from of_kernels(results.get("kernels"))
     yield from of_runs(results.get("runs"))
+    yield from of_noise(results.get("noise"))
 
 
 def of_dispatch(found: Found | None) -> Iterator[Aim]:
@@ -193,3 +197,27 @@ def of_runs(found: Found | None) -> Iterator[Aim]:
             True,
             per_s[field] / FREVO[field] if field in per_s else None,
         )
+
+
+def of_noise(found: Found | None) -> Iterator[Aim]:
+    """Yield what reported fitness, champions, fresh seeds and racing are worth."""
+    rows = {(row["task"], row["mode"]): row for row in found["rows"]} if found else {}
+    gaps = [abs(row["assessed_gap"]) for row in rows.values()]
+    what = "reported and held-out fitness of champions: the largest median difference"
+    yield Aim("noise-gap", what, 0.05, False, max(gaps, default=None), share)
+    for task in NOISY:
+        for mode in ("fixed", "fresh"):
+            value = rows.get((task, mode), {}).get("assessed_beats_search")
+            what = f"{task}, {mode} seeds: A12 of champions with and without assessment"
+            yield Aim(f"noise-assessed-{task}-{mode}", what, 0.6, True, value, share)
+    for task in NOISY:
+        value = rows.get((task, "fresh"), {}).get("assessed_beats_fixed")
+        what = f"{task}: A12 of champions with fresh seeds and with fixed ones"
+        yield Aim(f"noise-fresh-{task}", what, 0.5, True, value, share)
+    for task in NOISY:
+        choice = rows.get((task, "fixed"), {}).get("choice", {})
+        what = f"{task}: share of the simulations that racing saves"
+        yield Aim(f"noise-saved-{task}", what, 0.3, True, choice.get("saved"), share)
+        right = choice["right_raced"] / choice["right_equal"] if choice else None
+        what = f"{task}: racing's right choices, relative to those of all trials"
+        yield Aim(f"noise-right-{task}", what, 1.0, True, right, share)

@@ -47,7 +47,7 @@ TASKS = {
             f"problem.settings.{key}"
             for key in ("steps=50", "robots=2", "pucks=3", "side=2.5")
         ],
-        500,
+        1_000,
     ),
 }
 
@@ -158,7 +158,8 @@ def a12(some: np.ndarray, others: np.ndarray) -> float:
 
 def play(run: Run) -> Ended:
     """Search, assess, and judge both champions."""
-    from zswarm.ot.assessment.contest import SHARE, Contest
+    from zswarm.ot.assessment.amount import SHARE
+    from zswarm.ot.assessment.contest import Contest
     from zswarm.ot.record.contenders import Contenders, of_generation
     from zswarm.ot.record.history_hash import digest
 

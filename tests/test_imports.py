@@ -57,7 +57,8 @@ ot.commands:        BASE controller experiment kernels ot.build ot.evolution ot.
 ot.commands.shared: BASE controller evaluate experiment ot.evolution ot.logger ot.problem
                     ot.cluster ot.record ot.study nets plugins protocol robots
                     robots.argos security session
-ot.dashboard:       BASE controller experiment ot.notes ot.analysis ot.record plugins
+ot.dashboard:       BASE controller experiment ot.assessment.amount ot.notes ot.analysis
+                    ot.record plugins
 ot.display:         BASE controller ot.logger
 ot.doctor:          BASE kernels ot.cluster ot.record plugins protocol security session
 ot.estimate:        BASE evaluate experiment ot.build ot.notes ot.problem ot.assessment ot.cluster

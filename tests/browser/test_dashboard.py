@@ -12,8 +12,9 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from tests.browser.conftest import Dashboard, Watched
-from tests.browser.records import BEGUN, from_the_future, grow, write
+from tests.browser.records import BEGUN, assess, from_the_future, grow, write
 from tests.ot.record.sealing import reseal
+from zswarm.controller import HeldOut, Tracked
 from zswarm.ot.record import control_file as control
 from zswarm.ot.record.folder import lock_folder
 
@@ -114,7 +115,7 @@ def test_the_page_of_a_run_shows_progress_events_and_settings(
     expect(page.locator(".badge")).to_contain_text("finished")
     expect(page.locator(".tile", has_text="generation")).to_contain_text("100 / 100")
     expect(page.locator(".tile", has_text="sent again")).to_contain_text("7")
-    for key in ("best", "mean", "median", "quartiles"):
+    for key in ("best in search", "mean", "median", "quartiles"):
         expect(page.locator(".legend").first.get_by_text(key, exact=True)).to_be_visible()
     expect(page.get_by_role("heading", name="Diversity")).to_be_visible()
     expect(page.get_by_role("heading", name="Effectivity of operators")).to_be_visible()
@@ -135,6 +136,41 @@ def test_the_page_of_a_run_shows_progress_events_and_settings(
     expect(page.get_by_role("link", name="look at its best candidate")).to_have_attribute(
         "href", re.compile("generation=1")
     )
+
+
+def test_held_out_values_are_next_to_those_in_search(
+    page: Page, dashboard: Start, tmp_path: Path
+) -> None:
+    """The champion's level and tile, and the best of each twentieth generation."""
+
+    def numbers(mean: float) -> HeldOut:
+        ends = {"low": mean - 0.05, "high": mean + 0.05}
+        return HeldOut(mean=mean, **ends, seeds=100, in_search=mean + 0.1)
+
+    tracked = [
+        Tracked(generation=at, held_out=numbers(0.2 + at / 200))
+        for at in range(19, 100, 20)
+    ]
+    assess(write(tmp_path), numbers(0.75), tracked)
+    url = dashboard(tmp_path).url
+    page.goto(url)
+    heads = page.locator(".tall thead")
+    for head in ("best in search", "held-out"):
+        expect(heads).to_contain_text(head)
+    expect(page.locator(".tall tbody tr")).to_contain_text("0.75")
+    page.goto(f"{url}/run?run=long")
+    tile = page.locator(".tile", has_text="champion, held-out")
+    expect(tile).to_contain_text("0.75")
+    interval = page.locator(".tile", has_text="its 95 %")
+    expect(interval).to_contain_text("0.7 to 0.8")
+    legend = page.locator(".legend").first
+    for key in ("best in search", "best, held-out", "champion, held-out"):
+        expect(legend.get_by_text(key, exact=True)).to_be_visible()
+    page.locator(".chart svg[role=img]").first.focus()
+    page.keyboard.press("End")
+    read = page.locator(".readout").first
+    expect(read).to_contain_text("generation 100: best, held-out 0.695")
+    expect(read).to_contain_text("champion, held-out 0.75")
 
 
 def test_the_data_of_a_page_can_be_downloaded(

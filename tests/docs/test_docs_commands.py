@@ -74,6 +74,10 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
         "runs tests, for minutes",
         ".ci/run",
     ),
+    ("from-numpy.md", "*"): (
+        "is one module for each step",
+        "tests/docs/test_from_numpy.py",
+    ),
     ("python.md", "*"): ("is one program", "tests/docs/test_python_document.py"),
     ("keys.md", "*"): ("is about several machines", KEYS),
     (

@@ -36,6 +36,15 @@ class Assessment:
         """The number of trials of all rounds so far."""
         return int(sum(len(workload.seeds) for workload in self._workloads))
 
+    def differ(self) -> bool:
+        """Return whether trials of a candidate may differ, as far as the first round shows."""
+        work = self._workloads[0]
+        if work.participants.shape[1] > 1 or self._problem.experiment.problem.trials == 1:
+            return True
+        outcomes = np.column_stack([work.fitness, work.metrics])
+        each = outcomes.reshape(len(self.genomes), -1, outcomes.shape[1])
+        return not np.array_equal(each[:, 1:], each[:, :-1], equal_nan=True)
+
     def advance(self) -> bool:
         """Begin the next round when all of this one is counted; return False if there is none."""
         self._rounds.append(self._problem.played(self.workload))

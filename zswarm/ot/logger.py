@@ -36,6 +36,9 @@ class Generation(NamedTuple):
     servers: int
     slots: int
     statistics: dict[str, float]  # of the optimizer; best and mean among them
+    # Expected: generations of the run, and the assessment's trials as a share of the search's.
+    last: int = 0
+    after: float = 0.0
 
 
 class Result(NamedTuple):
@@ -83,7 +86,8 @@ class Logger:
     def on_progress(self, generation: int, counted: int, trials: int) -> None:
         """Called several times a second with the finished trials of a generation.
 
-        During the assessment, ``generation`` is the number of all generations.
+        During the assessment, ``generation`` is the number of all generations, and ``trials``
+        is how many the assessment has at most.
         """
 
     def on_generation(self, generation: Generation) -> None:

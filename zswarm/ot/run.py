@@ -11,6 +11,7 @@ from msgspec import structs
 from zswarm.config.decode import to_json
 from zswarm.config.sections import StopConfig
 from zswarm.controller import HeldOut
+from zswarm.ot.assessment import amount, contest
 from zswarm.ot.assessment.contest import Contest
 from zswarm.ot.assessment.seen_seeds import SeenSeeds
 from zswarm.ot.assessment.track import Track
@@ -99,6 +100,8 @@ class _Notebook:
         record.say = logger.on_say
         self._held_out: HeldOut | None = None  # fitness of the champion
         self._hash = ""  # of the assessment
+        self._differ: bool | None = None  # do trials of a candidate?
+        self._whole = 0  # trials of the assessment, once it begins
         self.why = ""  # the run ends before its last generation
         self._since = time.monotonic()  # the last generation ended, or the program began
         self.run_id: str = record.meta("run_id")
@@ -177,7 +180,7 @@ class _Notebook:
         for item in items:
             self.take(item, work)
             counted = work.first + int(work.counted.sum())
-            trials = work.first + len(work.seeds)
+            trials = max(work.first + len(work.seeds), self._whole)
             self._logger.on_progress(work.generation, counted, trials)
 
     def take(self, item: Item | None, work: Workload | None = None) -> None:
@@ -282,6 +285,7 @@ class _Notebook:
             standing.serving,
             standing.slots,
             statistics,
+            *self._expected(ended),
         )
         self._logger.on_generation(generation)
         if self.why:
@@ -290,18 +294,31 @@ class _Notebook:
             self._logger.on_say(f"ends after generation {self._ended}: {self.why}")
         return generation
 
+    def _expected(self, ended: Assessment) -> tuple[int, float]:
+        """Return generations and the share of the assessment, as a generation lets expect."""
+        complete, left = self._problem.experiment, self._watch.generations_left()
+        last = complete.generations
+        if left is not None:
+            last = min(last, self._ended + left)
+        if self._differ is None:
+            self._differ = ended.differ()
+        fit = self._differ and contest.unfit(self._problem) == ""
+        searched = max(1, last * ended.trials)
+        return last, amount.trials_after(complete, searched, last, fit=fit) / searched
+
     def end(self, cluster: Cluster, obey: Callable[[Cluster], None]) -> None:
         """Assess the candidates of the run, if there is something to assess; take what is late."""
         problem, record = self._problem, self._record
-        contest = Contest.of_run(problem, record)
+        race = Contest.of_run(problem, record)
         track = Track.of_run(problem, record)
-        if contest is not None or track is not None:
-            plan = contest.plan if contest is not None else ""
+        if race is not None or track is not None:
+            plan = race.plan if race is not None else ""
             record.begin_assessment(f"{plan}{problem.experiment.assessment.track or ''}")
-        if contest is not None:
-            self._assess(contest, cluster, obey)
+            self._whole = (race.budget if race else 0) + (track.trials if track else 0)
+        if race is not None:
+            self._assess(race, cluster, obey)
         if track is not None:
-            rounds = (contest.round, contest.first) if contest is not None else (0, 0)
+            rounds = (race.round, race.first) if race is not None else (0, 0)
             work = track.workload(*rounds)
             self._play(work, cluster)
             record.set_meta("track", msgspec.json.encode(track.result(work)).decode())
@@ -310,18 +327,18 @@ class _Notebook:
             self.take(late)
 
     def _assess(
-        self, contest: Contest, cluster: Cluster, obey: Callable[[Cluster], None]
+        self, race: Contest, cluster: Cluster, obey: Callable[[Cluster], None]
     ) -> None:
         """Race the best candidates on held-out seeds; the winner becomes the champion."""
         record, problem = self._record, self._problem
-        while (work := contest.workload()) is not None:
+        while (work := race.workload()) is not None:
             self._play(work, cluster)
-            contest.take(work)
+            race.take(work)
             obey(cluster)
-        if (found := contest.champion()) is None:
+        if (found := race.champion()) is None:
             return
         genome, self._held_out = found
-        self._hash = contest.hash(record.history().value)
+        self._hash = race.hash(record.history().value)
         champion = problem.controller(genome, self._held_out.in_search, self.run_id)
         champion = structs.replace(champion, held_out=self._held_out)
         record.champion(champion)

@@ -1,21 +1,26 @@
 """What the champion does on held-out seeds is shown next to its fitness in search."""
 
 import json
+import threading
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 import zswarm
-from tests.ot.assessment.test_assessed_runs import Noisy, evolved
+from tests.ot.assessment.test_assessed_runs import Noisy, evolved, loaded
+from tests.ot.cluster.fake_connection import result
 from zswarm.controller import HeldOut
-from zswarm.ot import cli
+from zswarm.ot import cli, run
 from zswarm.ot.analysis import curves, figures
+from zswarm.ot.build import build
 from zswarm.ot.dashboard.run_index import RunIndex
 from zswarm.ot.dashboard.tail import RecordTail
 from zswarm.ot.display.progress import summary
-from zswarm.ot.logger import Result
+from zswarm.ot.logger import Generation, Logger, Result
+from zswarm.ot.record.writer import Record
 from zswarm.ot.report import report
 
 
@@ -47,6 +52,45 @@ def test_at_the_end_of_a_run(assessed: tuple[Path, Result, HeldOut]) -> None:
     assert len(summary(result._replace(champion=None)).splitlines()) == 3
 
 
+class Follower(Logger):
+    """Keeps what a display is told."""
+
+    def __init__(self) -> None:
+        self.generations: list[Generation] = []
+        self.progress: list[tuple[int, int, int]] = []
+
+    def on_generation(self, generation: Generation) -> None:
+        self.generations.append(generation)
+
+    def on_progress(self, generation: int, counted: int, trials: int) -> None:
+        self.progress.append((generation, counted, trials))
+
+
+def followed(out: Path, servers: Noisy, *overrides: str) -> Follower:
+    complete, follower = loaded(*overrides), Follower()
+    metrics = build(complete).problem.simulator.metrics
+    with Record.create(out, complete, "0" * 32, metrics) as record:
+        stop = threading.Event()
+        result(run.evolve(build(complete), record, servers, follower, stop))  # type: ignore[arg-type]
+    return follower
+
+
+def test_a_run_lets_expect_its_assessment(tmp_path: Path) -> None:
+    seen = followed(tmp_path / "all", Noisy())
+    assert {(one.last, one.after) for one in seen.generations} == {(6, 1.0)}
+    of_assessment = [one for one in seen.progress if one[0] == 6]
+    played = sum(one.evaluations for one in seen.generations[-1:]) * TRIALS
+    assert {trials for _, _, trials in of_assessment} == {played}
+    assert of_assessment[-1][1] == played
+    alike = followed(tmp_path / "alike", Noisy(noise=0.0))
+    assert {one.after for one in alike.generations} == {0.0}
+    tracked = followed(tmp_path / "track", Noisy(noise=0.0), "assessment.track=3")
+    of_search = 6 * 7 * TRIALS  # like the last generation
+    assert tracked.generations[-1].after * of_search == pytest.approx(200)
+    budget = followed(tmp_path / "budget", Noisy(), "stop.evaluations=30")
+    assert [one.last for one in budget.generations] == [3, 3, 3]
+
+
 def test_in_lists_comparisons_and_in_python(
     assessed: tuple[Path, Result, HeldOut],
 ) -> None:
@@ -69,7 +113,7 @@ def test_in_the_dashboard(assessed: tuple[Path, Result, HeldOut]) -> None:
     (row,) = RunIndex([folder.parent]).rows()
     assert row["held_out"] == champion.mean
     tail = RecordTail(folder)
-    assert tail.look()["state"]["held_out"] == champion.mean
+    assert tail.look()["state"]["champion"] == msgspec.to_builtins(champion)
 
 
 def test_in_figures_and_reports(assessed: tuple[Path, Result, HeldOut]) -> None:

@@ -57,12 +57,34 @@ def test_it_is_drawn_and_reported(tmp_path: Path) -> None:
     )
     (drawn,) = (line for line in lines if line.label == "best, held-out")
     assert drawn.x.tolist() == [3.0, 6.0]
-    assert drawn.y.tolist() == [tracked.held_out.mean for tracked in run.track]
+    means = [tracked.held_out.mean or 0.0 for tracked in run.track]
+    assert drawn.y.tolist() == [mean / TRIALS for mean in means]
+    assert max(drawn.y) < one.best.max(), "of a trial, as the search's"
     assert drawn.band is not None
     page = report.of_run(run, 0)
     for tracked in run.track:
         held_out = tracked.held_out
-        assert f"generation {tracked.generation} has {held_out.mean:.6g} on 100" in page
+        number, mean = tracked.generation + 1, (held_out.mean or 0.0) / TRIALS
+        assert f"generation {number} has {mean:.6g} on 100" in page
+
+
+def test_repeats_have_the_median_of_their_tracks(tmp_path: Path) -> None:
+    """Each run has its own seed, and so its own track; one that has none leaves none."""
+    runs = []
+    for seed in (1, 2, 3):
+        more = ("assessment.track=3", f"seed={seed}")
+        runs.append(Run(evolved(tmp_path / f"{seed}", Noisy(), *more)[0]))
+    members = [curves.series(run) for run in runs]
+    (drawn,) = figures._tracked("a", members, "generation", alone=True)
+    assert drawn.x.tolist() == [3.0, 6.0]
+    means = [[one.held_out.mean for one in run.track] for run in runs]
+    assert drawn.y.tolist() == (np.median(means, axis=0) / TRIALS).tolist()
+    (axes,) = figures.of_series({"a": members}).axes
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert "the same, held-out" in labels
+    folder, _ = evolved(tmp_path / "none", Noisy(), "seed=4")
+    without = [*members, curves.series(Run(folder))]
+    assert figures._tracked("a", without, "generation", alone=True) == []
 
 
 def test_it_needs_no_assessment(tmp_path: Path) -> None:

@@ -1,12 +1,18 @@
 """A tail finds what was added to a record since its last look."""
 
+import sqlite3
 from pathlib import Path
 
+import pytest
+
+from tests.ot.estimate.test_predict import with_times
 from tests.ot.invented_record import written
+from tests.ot.record.sealing import reseal
 from zswarm.ot.dashboard.run_index import RunIndex
 from zswarm.ot.dashboard.tail import RecordTail
 from zswarm.ot.notes import Note
 from zswarm.ot.record import control_file as control
+from zswarm.ot.record.schema import ASSESSMENT
 from zswarm.ot.record.writer import Record
 
 
@@ -66,3 +72,25 @@ def test_an_unreadable_record_is_explained_and_may_become_readable(
     file.write_bytes(whole)
     assert tail.look()["state"]["status"] == "finished"
     assert index.rows()[0]["generation"] == 1
+
+
+def test_the_time_left_includes_the_assessment(tmp_path: Path) -> None:
+    """One generation of 2 s, and a tenth of all 21; then what remains of the assessment."""
+    folder = written(tmp_path, range(20), trials=10, finished=False)
+    with_times(folder, 2.0)
+    record, _ = Record.open(folder)
+    with record:
+        state = RecordTail(folder).look()["state"]
+        assert state["status"] == "running"
+        assert state["eta_s"] == pytest.approx(2.0 + 0.1 * 21 * 2.0)
+    with sqlite3.connect(folder / "run.sqlite") as database:
+        database.execute("UPDATE outcomes SET generation = ? WHERE id = 1", (ASSESSMENT,))
+    database.close()
+    file = folder / "experiment.toml"
+    file.write_text(file.read_text().replace("generations = 21", "generations = 20"))
+    reseal(folder)
+    record, _ = Record.open(folder)
+    with record:
+        state = RecordTail(folder).look()["state"]
+        assert (state["counted"], state["trials"]) == (3, 60)
+        assert state["eta_s"] == pytest.approx(0.1 * 20 * 2.0 * (1 - 3 / 60))

@@ -29,10 +29,18 @@ shown = display(as_json=False)
 shown.on_start(Started(Path("runs/minisim"), experiment.load(path, ["generations=100000"]), 0))
 shown.on_wait("lab-01-0123abcd: compiling kernel 3 of 14, once (5 s)")
 shown._progress.refresh()
-for generation in (0, 99_998):
+def played(generation):
     evaluations = 10**generation.bit_length()
     numbers = (-123.456789, -1234.56789, evaluations, 1024, 4096, {})
-    shown.on_generation(Generation(generation, *numbers))
+    shown.on_generation(Generation(generation, *numbers, last=100_000, after=0.25))
+def left():
+    return f"{shown._progress.tasks[0].remaining:.0f}"
+played(99_998)
+shown.on_say(f"{left()} generations are left")
+shown.on_progress(100_000, 30, 120)
+shown.on_say(f"{left()} are left in the assessment")
+for generation in (0, 99_998):
+    played(generation)
 shown.on_say("a line")
 shown.on_end(None)
 """
@@ -79,6 +87,8 @@ def test_the_line_of_a_run_is_one_line(
         re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", line) for line in re.split(r"[\r\n]+", seen)
     ]
     assert "a line" in lines
+    assert "25001 generations are left" in lines
+    assert "18750 are left in the assessment" in lines
     assert any("lab-01-0123abcd:" in line for line in lines), lines
     assert any(
         line.startswith("99999/100000 ") and "best -123.46" in line for line in lines

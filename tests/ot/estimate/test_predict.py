@@ -14,6 +14,7 @@ from tests.ot.invented_record import written
 from tests.ot.record.sealing import reseal
 from zswarm import experiment
 from zswarm.ot import cli
+from zswarm.ot.assessment import amount
 from zswarm.ot.build import Parts, build
 from zswarm.ot.commands.shared.exits import EXIT_NO_SERVERS
 from zswarm.ot.estimate import calibration as constants
@@ -75,6 +76,31 @@ def test_games_count_as_simulations() -> None:
     assert constants.plan_of(made, optimizer.ask(), 6, 6).population == 30
 
 
+def test_the_assessment_racing_and_budgets_are_counted() -> None:
+    """As in the table of docs/noise.md, and in ``[stop]``."""
+
+    def planned(name: str, **settings: object) -> Plan:
+        made, optimizer = problem(name, **settings)
+        return constants.plan_of(made, optimizer.ask(), 50, 37)
+
+    whole = planned("minisim")
+    assert (whole.after, whole.simulations) == (1863, 18_630 + 1863)
+    longer = cost_model.expected_s(cost_model.blob, whole, TABLE_I)
+    without = planned("minisim", assessment__budget=0)
+    assert (without.after, without.simulations) == (0, 18_630)
+    shorter = cost_model.expected_s(cost_model.blob, without, TABLE_I)
+    assert longer / shorter == pytest.approx(1.1, rel=0.01)
+    tracked = planned("minisim", assessment__budget=0, assessment__track=20)
+    assert tracked.after == 200
+    raced = planned("minisim", assessment__racing="true")
+    assert raced.simulations == pytest.approx(1.1 * amount.RACED * 18_630, rel=0.01)
+    budget = planned("minisim", stop__evaluations=50 + 9 * 37)
+    assert (budget.generations, budget.simulations) == (10, 3830 + 383)
+    assert planned("minisim-duel").after == 0
+    made, optimizer = problem("stadium")
+    assert constants.plan_of(made, optimizer.ask(), 50, 37, differ=False).after == 0
+
+
 def test_the_predicted_batch_has_as_many_trials_as_dispatch_sends() -> None:
     assert constants.batch(0.075, slots=4, trials=1000) == 4
     assert constants.batch(10.0, slots=4, trials=1000) == 1
@@ -111,6 +137,7 @@ def test_constants_are_measured_on_servers(tmp_path: Path) -> None:
         for key in ("step_s", "message_s", "busy_s", "evolve_s", "dispatch_s")
     )
     assert measured["busy_s"] <= measured["message_s"] * 2
+    assert told["plan"]["after"] == 0, "all trials of xor are alike"
     assert told["plan"]["agents"] == 4, "the four lines of the table are answered at once"
     assert [way["way"] for way in told["ways"]] == list(cost_model.WAYS)
     assert all(way["seconds"] > 0 and way["useful_slots"] >= 1 for way in told["ways"])
@@ -119,10 +146,17 @@ def test_constants_are_measured_on_servers(tmp_path: Path) -> None:
 
 def test_the_papers_table_needs_no_server(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
+    limits = ["--set", "stop.stagnation=7", "--set", "stop.fitness=0"]
     done = CliRunner().invoke(
-        cli.command, ["predict", "stadium", "--table1", "--slots", "8"]
+        cli.command, ["predict", "stadium", "--table1", "--slots", "8", *limits]
     )
     assert done.exit_code == 0, done.output
+    said = " ".join(done.output.split())
+    assert (
+        "a candidate has the fitness 0, or 7 generations in a row find nothing better"
+        in said
+    )
+    assert "of them after the last generation" in said
     assert "Table I of the paper" in done.output
     assert "predicted for 8" in done.output
     assert max(map(len, done.output.splitlines())) <= 80

@@ -77,11 +77,11 @@ def series(run: "Run") -> Series:
         np.cumsum(seconds),
         held_out,
         run.relative,
-        _track(run, len(history)),
+        _track(run, len(history), trials),
     )
 
 
-def _track(run: "Run", generations: int) -> np.ndarray:
+def _track(run: "Run", generations: int, trials: int) -> np.ndarray:
     """Return the tracked generations whose best did not fail, with a known interval: (n, 4)."""
     found = [
         (one.generation, one.held_out.mean, one.held_out.low, one.held_out.high)
@@ -89,7 +89,7 @@ def _track(run: "Run", generations: int) -> np.ndarray:
         if 0 <= one.generation < generations
     ]
     known = [row for row in found if None not in row]
-    return np.array(known, np.float64).reshape(-1, 4)
+    return np.array(known, np.float64).reshape(-1, 4) / [1, trials, trials, trials]
 
 
 def load(

@@ -66,9 +66,15 @@ def of_series(
     if len(runs) == 1:
         lines, note, height = _of_one(runs[0], drawn[0], axis), "", f"fitness, {EACH}"
     else:
-        lines = [_line(curve, alone=len(drawn) == 1) for curve in drawn]
+        alone = len(drawn) == 1
+        lines = [_line(curve, alone=alone) for curve in drawn]
+        if 2 * len(drawn) <= MAX_GROUPS:
+            for curve in drawn:
+                lines += _tracked(curve.group, groups[curve.group], axis, alone=alone)
         note = _note(groups, drawn, axis) if noted else ""
-        height = f"best fitness, {EACH}"
+        height = f"best fitness in search, {EACH}"
+        if len(lines) > len(drawn):
+            height = f"best fitness, {EACH}"
     if any(run.relative for run in runs):
         height = "score in its generation"
     chosen = SIZES[size]._replace(file=style)
@@ -190,6 +196,26 @@ def _line(curve: Curve, *, alone: bool) -> CurveLine:
     label = f"median of {plural(curve.runs, 'run')}" if alone else curve.group
     band = (curve.low, curve.high) if curve.runs >= BAND else None
     return CurveLine(label, curve.x, curve.median, band)
+
+
+def _tracked(
+    group: str, members: Sequence[Series], axis: Axis, *, alone: bool
+) -> list[CurveLine]:
+    """Return the median of the best of tracked generations on held-out seeds, at most one line.
+
+    There is none if the runs of a group have not tracked the same generations.
+    """
+    runs = [run for run in members if len(run.best)]
+    numbers = runs[0].track[:, 0]
+    if not len(numbers):
+        return []
+    if not all(np.array_equal(run.track[:, 0], numbers) for run in runs):
+        return []
+    at = [curves.positions(run, axis)[numbers.astype(int)] for run in runs]
+    low, median, high = curves.quartiles(np.stack([run.track[:, 1] for run in runs]))
+    label = "the same, held-out" if alone else f"{group}, held-out"
+    band = (low, high) if len(runs) >= BAND else None
+    return [CurveLine(label, np.median(at, axis=0), median, band)]
 
 
 def _note(groups: Groups, drawn: Sequence[Curve], axis: Axis) -> str:

@@ -8,8 +8,8 @@ import numpy as np
 
 from zswarm.controller import HeldOut
 from zswarm.errors import ConfigError
-from zswarm.experiment import Experiment
 from zswarm.kernels.random import derive_seed
+from zswarm.ot.assessment.amount import budget_of
 from zswarm.ot.assessment.race import LEAST, Race
 from zswarm.ot.problem import Problem
 from zswarm.ot.record.digests import real
@@ -17,7 +17,6 @@ from zswarm.ot.record.history_hash import assessed, digest
 from zswarm.ot.record.writer import Record
 from zswarm.ot.workload import Workload
 
-SHARE = 0.1  # of the run's simulations, by default
 RACE, HELD_OUT = "assessment", "held-out"  # purposes of the seeds
 
 
@@ -32,6 +31,7 @@ class Contest:
 
     Attributes:
         plan: a text that is equal for an assessment with the same trials.
+        budget: as given.
         round, first: the next round, and how many trials were played before it.
     """
 
@@ -44,7 +44,7 @@ class Contest:
         *,
         differ: bool,
     ) -> None:
-        self._problem, self._in_search = problem, in_search
+        self._problem, self._in_search, self.budget = problem, in_search, budget
         self._race = Race(len(genomes), budget, differ=differ)
         self._genomes = list(genomes[: self._race.candidates])
         self.round = self.first = 0
@@ -58,7 +58,7 @@ class Contest:
         trials = complete.problem.trials
         raced = complete.assessment.racing
         searched = record.trials() if raced else record.evaluations() * trials
-        budget = most_trials(problem, searched)
+        budget = 0 if unfit(problem) else budget_of(complete, searched)
         if not budget:
             return None
         found = record.contenders(complete.assessment.candidates)
@@ -112,19 +112,6 @@ class Contest:
         return derive_seed(self._problem.experiment.seed, purpose, number)
 
 
-def share(complete: Experiment) -> float:
-    """Return the assessment's trials as a share of those of the run."""
-    budget = complete.assessment.budget
-    return SHARE if budget == "auto" else budget
-
-
-def most_trials(problem: Problem, trials: int) -> int:
-    """Return how many trials an assessment takes at most, after a search of some trials."""
-    complete = problem.experiment
-    budget = int(share(complete) * trials)
-    return 0 if unfit(problem) or budget < LEAST else budget
-
-
 def unfit(problem: Problem) -> str:
     """Return why no candidate of a problem can be assessed, or ""."""
     if problem.ranking.relative or problem.simulator.participants > 1:
@@ -143,12 +130,12 @@ def check(problem: Problem, candidates: int | None) -> None:
     """
     complete = problem.experiment
     budget = complete.assessment.budget
-    if (track := complete.assessment.track) and (why := unfit(problem)):
-        raise ConfigError(f"assessment: track: expected 0, not {track}: {why}")
-    if track > complete.generations:
+    if (each := complete.assessment.track) and (why := unfit(problem)):
+        raise ConfigError(f"assessment: track: expected 0, not {each}: {why}")
+    if each > complete.generations:
         raise ConfigError(
             f"assessment: track: expected at most the {complete.generations} generations, not "
-            f"{track}"
+            f"{each}"
         )
     if budget == "auto" or not budget:
         return

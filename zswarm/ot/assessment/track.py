@@ -7,13 +7,13 @@ import numpy as np
 from zswarm.controller import HeldOut, Tracked
 from zswarm.experiment import Experiment
 from zswarm.kernels.random import derive_seed
+from zswarm.ot.assessment.amount import TRACKED
 from zswarm.ot.assessment.interval import of_mean
 from zswarm.ot.problem import Problem
 from zswarm.ot.record.digests import real
 from zswarm.ot.record.writer import Record
 from zswarm.ot.workload import Workload
 
-SEEDS = 100  # of each
 TRACK = "track"  # purpose of the seeds
 
 
@@ -29,6 +29,11 @@ class Track:
     def __init__(self, problem: Problem, best: list[tuple[int, bytes, float]]) -> None:
         self._problem, self._best = problem, best
 
+    @property
+    def trials(self) -> int:
+        """Return how many trials it has."""
+        return TRACKED * len(self._best)
+
     @classmethod
     def of_run(cls, problem: Problem, record: Record) -> Self | None:
         """Return what is to be tracked of a run after its last generation, or None."""
@@ -40,7 +45,7 @@ class Track:
     def workload(self, number: int, first: int) -> Workload:
         """Return the trials, as a round after others of the assessment."""
         seed = self._problem.experiment.seed
-        seeds = [derive_seed(seed, TRACK, number) for number in range(SEEDS)]
+        seeds = [derive_seed(seed, TRACK, number) for number in range(TRACKED)]
         genomes = [genome for _, genome, _ in self._best]
         last = self._problem.experiment.generations
         work = self._problem.workload(genomes, last, np.array(seeds, np.uint64))
@@ -52,7 +57,7 @@ class Track:
         scale = float(self._problem.experiment.problem.trials)
         found = []
         for (generation, _, in_search), fitness in zip(
-            self._best, work.fitness.reshape(-1, SEEDS), strict=True
+            self._best, work.fitness.reshape(-1, TRACKED), strict=True
         ):
             played = fitness[~np.isnan(fitness)]
             mean, low, high = (real(scale * value) for value in of_mean(played))

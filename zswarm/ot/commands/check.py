@@ -99,7 +99,10 @@ def _show_study(cells: "list[Cell]", complete: Experiment, e: "Explanation") -> 
     tables.line("")
     effort_table.show(cells)
     repeat = complete.study.repeat
-    simulations = repeat * sum(cell.effort.simulations for cell in cells)
+    each = [cell.effort for cell in cells]
+    simulations = repeat * sum(
+        one.simulations + one.assessment_simulations for one in each
+    )
     here = duration(simulations * e.trial_s / e.slots)
     tables.entry("in all", f"{effort_table.total(cells, repeat)}; about {here} here")
 
@@ -148,11 +151,7 @@ def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
         "optimizer",
         f"{e.optimizer}: {first:,} candidates in the first generation{then}",
     )
-    most = "at most " if complete.assessment.racing else ""
-    work = f"{e.evaluations:,} evaluations, {most}{e.simulations:,} simulations"
-    if e.assessment_simulations:
-        work += f", and {e.assessment_simulations:,} to assess the champion"
-    yield "work", work
+    yield "work", _work(e)
     yield (
         "time",
         f"a simulation takes about {duration(e.trial_s)} here; all of them {duration(e.seconds)} "
@@ -162,6 +161,16 @@ def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
     )
     yield "disk", f"about {size(e.record_bytes)}"
     yield "result", _result(e)
+
+
+def _work(e: "Explanation") -> str:
+    """Return how many evaluations and simulations a run has."""
+    work = f"{e.evaluations:,} evaluations, {e.simulations:,} simulations"
+    if e.simulations_expected < e.simulations:
+        work += f" at most (with racing about {e.simulations_expected:,})"
+    if e.assessment_simulations:
+        work += f", and {e.assessment_simulations:,} to assess the champion"
+    return work
 
 
 def _result(e: "Explanation") -> str:

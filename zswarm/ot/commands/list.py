@@ -67,7 +67,12 @@ def _show_parts(found: Sequence[CatalogEntry]) -> None:
 
 def _show_runs(runs: list[dict[str, Any]]) -> None:
     table = tables.table(
-        "run", ">generations", ">best", ">held-out", "last at (local time)", "history"
+        "run",
+        ">generations",
+        ">in search",
+        ">held-out",
+        "last at (local time)",
+        "history",
     )
     for row in runs:
         if "error" in row:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import msgspec
 
+from zswarm.config.sections import StopConfig
 from zswarm.experiment import Experiment
 from zswarm.ot.commands.shared import options
 from zswarm.ot.display import tables
@@ -93,12 +94,16 @@ def _lines(
     plan, constants = measured.plan, measured.constants
     source = PAPER if table1 else "measured"
     turns = "" if plan.turns == 1 else f", {plan.turns} turns each"
+    about = "about " if complete.assessment.racing else ""
+    after = f"; {plan.after:,} of them after the last generation" if plan.after else ""
     yield (
         "experiment",
         f"{complete.name}: {plural(plan.generations, 'generation')}, "
-        f"{plural(plan.simulations, 'simulation')} of {plural(plan.steps, 'step')} with "
-        f"{plural(plan.agents, 'agent')}{turns}",
+        f"{about}{plural(plan.simulations, 'simulation')} of {plural(plan.steps, 'step')} with "
+        f"{plural(plan.agents, 'agent')}{turns}{after}",
     )
+    if limits := _unpredicted(complete.stop):
+        yield "stop", f"the run may end earlier, which is not predicted: {limits}"
     found = plural(measured.slots, "slot")
     if not table1:
         found = f"{plural(measured.servers, 'server')} with {found} can run it"
@@ -124,6 +129,19 @@ def _lines(
     files = duration(constants.export_s + constants.compile_s + constants.fitness_s)
     unmeasured = "" if table1 else ": not measured here"
     yield "files", f"{files} to export, compile and read logs; {PAPER}{unmeasured}"
+
+
+def _unpredicted(stop: StopConfig) -> str:
+    """Return the limits of a run that depend on what it finds, or how fast it is, in words."""
+    limits = []
+    if stop.fitness != "none":
+        limits.append(f"a candidate has the fitness {stop.fitness:g}")
+    if stop.stagnation:
+        found = plural(stop.stagnation, "generation")
+        limits.append(f"{found} in a row find nothing better")
+    if stop.seconds:
+        limits.append(f"{duration(stop.seconds)} of computing are over")
+    return ", or ".join(limits)
 
 
 def _show_ways(ways: list[cost_model.Predicted], slots: int) -> None:

@@ -43,6 +43,29 @@ def curve(run: Run, most: int = MOST) -> dict[str, list[Any]]:
     return _columns("generation at best mean low high evaluations", rows)
 
 
+def track(run: Run) -> dict[str, list[Any]]:
+    """Return what the best of tracked generations did on held-out seeds, and in search.
+
+    Returns:
+        Columns: generation, at, mean, low, high, in_search.
+    """
+    at = dict(
+        run.rows("SELECT generation, finished_at FROM generations", tuple[int, float])
+    )
+    rows = [
+        (
+            one.generation,
+            at.get(one.generation),
+            *(
+                getattr(one.held_out, name)
+                for name in ("mean", "low", "high", "in_search")
+            ),
+        )
+        for one in run.track
+    ]
+    return _columns("generation at mean low high in_search", rows)
+
+
 def spread(run: Run, most: int = SOME) -> dict[str, list[Any]]:
     """Return quartiles of the candidates' fitness; generations that failed are left out.
 

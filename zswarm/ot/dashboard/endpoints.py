@@ -190,6 +190,7 @@ BY_NAME: dict[str, Answer] = {
     "generation": lambda run, query: downsample.generation(
         run, number(query, "generation")
     ),
+    "track": lambda run, _: downsample.track(run),
     "champions": lambda run, _: downsample.champions(run),
     "candidate": candidate,
     "history.csv": history_csv,

@@ -7,13 +7,18 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from zswarm.errors import ConfigError
+from zswarm.experiment import Experiment
+from zswarm.ot.assessment import amount
 from zswarm.ot.dashboard.rows import BatchRow, EventRow, read_batches, read_events
 from zswarm.ot.dashboard.servers import ServerTable
 from zswarm.ot.notes import RunEvent
 from zswarm.ot.record import control_file
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.run_index import stamp, status
+from zswarm.ot.record.schema import ASSESSMENT
 from zswarm.system.text import clean
 
 EVENTS = 300  # the last ones, with which a page begins
@@ -171,27 +176,43 @@ class RecordTail:
         current, pace = self._generation + 1, self._pace()
         champion = self._run.held_out
         left = complete.generations - current
-        left_s = round(left * pace, 1)
+        after = self._trials_after(complete, each)
+        if left or not running:
+            counted = self._counted.get(current, 0)
+            trials = self._candidates * each if left else 0
+        else:
+            counted, trials = self._counted.get(ASSESSMENT, 0), after
+        searching = max(1, complete.generations * self._candidates * each)
+        left_s = left * pace + complete.generations * pace * after / searching
+        if not left and trials:
+            left_s *= max(0.0, 1 - counted / trials)
         return {
             "status": found,
             "running": running,
             "asked": control_file.asked(self.folder) if running else "",
             "generation": current,  # finished ones
             "generations": complete.generations,
-            "counted": self._counted.get(current, 0) if running else 0,
-            "trials": self._candidates * each if running and left else 0,
+            "counted": counted if running else 0,
+            "trials": trials if running else 0,
             "evaluations": self._evaluations,
             "rate": round(rate / each, 2) if each else None,
             "trial_rate": round(rate, 1),
-            "eta_s": left_s if pace and found == "running" else None,
+            "eta_s": round(left_s, 1) if pace and found == "running" else None,
             "best": self._best,
-            "held_out": None if champion is None else champion.mean,
+            "champion": None if champion is None else msgspec.to_builtins(champion),
             "mean": self._mean,
             "at": self._newest() or None,
             "servers": sum(server.slots > 0 for server in servers) if running else 0,
             "slots": sum(server.slots for server in servers) if running else 0,
             "requeued": self._requeued,
         }
+
+    def _trials_after(self, complete: Experiment, each: int) -> int:
+        """Return how many trials follow the last generation, at most."""
+        searched = round(amount.played(complete) * self._evaluations * each)
+        if current := self._generation + 1:
+            searched = searched * complete.generations // current
+        return amount.trials_after(complete, searched, complete.generations, fit=each > 0)
 
     def _pace(self) -> float:
         """Return the median seconds of the last generations, which ignores pauses; 0: unknown."""

@@ -58,7 +58,7 @@ class LiveDisplay(PlainDisplay):
         made = console(stderr=True, live=True)
         bar = [BarColumn(bar_width=BAR)] if made.width >= WITH_BAR else []
         self._progress = Progress(
-            TextColumn("{task.completed:.0f}/{task.total:.0f}"),
+            TextColumn("{task.fields[done]}"),
             *bar,
             TextColumn("{task.fields[text]}"),
             TimeRemainingColumn(compact=True, elapsed_when_finished=True),
@@ -67,11 +67,18 @@ class LiveDisplay(PlainDisplay):
         )
         self._taken = TIME + BAR * len(bar)  # columns
         self._first: tuple[float, int] | None = None  # time and evaluations
+        # Expected generations, and the length of the assessment in them.
+        self._last, self._after = 0, 0.0
 
     def on_start(self, run: Started) -> None:
         super().on_start(run)
+        self._last = self._generations
         self._task = self._progress.add_task(
-            "run", total=self._generations, text="getting ready"
+            "run",
+            completed=run.generation,
+            total=self._generations,
+            text="getting ready",
+            done=f"{run.generation}/{self._generations}",
         )
         self._progress.start()
 
@@ -89,8 +96,26 @@ class LiveDisplay(PlainDisplay):
         self._first = self._first or (now, g.evaluations)
         rate = (g.evaluations - self._first[1]) / max(1e-9, now - self._first[0])
         parts = [f"best {g.best:.5g}", f"mean {g.mean:.5g}", f"{rate:.0f}/s", _servers(g)]
-        text = fitting(parts, self._room())
-        self._progress.update(self._task, completed=g.generation + 1, text=text)
+        self._last = g.last or self._generations
+        self._after = self._last * g.after  # in generations
+        self._progress.update(
+            self._task,
+            completed=g.generation + 1,
+            total=self._last + self._after,
+            text=fitting(parts, self._room()),
+            done=f"{g.generation + 1}/{self._last}",
+        )
+
+    def on_progress(self, generation: int, counted: int, trials: int) -> None:
+        if generation < self._generations or not trials:
+            return
+        part = counted / trials
+        self._progress.update(
+            self._task,
+            completed=self._last + self._after * part,
+            total=self._last + self._after,
+            text=f"assessment {part:.0%}",
+        )
 
     def _room(self) -> int:
         """Return how many columns a text may have."""
@@ -135,7 +160,8 @@ def progress(generation: Generation, generations: int) -> str:
 def generation_event(generation: Generation, **more: Any) -> dict[str, Any]:
     """Return the JSON object of a generation."""
     values = {"event": "generation", **more, **generation._asdict()}
-    del values["statistics"]
+    for key in ("statistics", "last", "after"):
+        del values[key]
     return values
 
 
@@ -145,8 +171,9 @@ def summary(result: Result) -> str:
     return (
         f"{best} {with_mean(result.best, result.trials)} "
         f"after {plural(result.generations, 'generation')}, "
-        f"{plural(result.evaluations, 'evaluation')} "
-        f"({plural(result.requeued, 'trial')} sent again), {duration(result.seconds)}\n"
+        f"{plural(result.evaluations, 'evaluation')}, "
+        f"{result.requeued:,} {'retry' if result.requeued == 1 else 'retries'}, "
+        f"{duration(result.seconds)}\n"
         f"{held_out(result.champion, result.trials)}"
         f"history {', '.join([*flaws(result), result.history_hash])}\n"
         f"run     {result.run}"

@@ -11,12 +11,13 @@ import numpy as np
 
 from zswarm import evaluate
 from zswarm.errors import EvaluationError, NoServers
+from zswarm.ot.assessment import amount, contest
 from zswarm.ot.build import Parts
 from zswarm.ot.cluster import discovery, matching
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.cluster.schedule import BATCH_S
 from zswarm.ot.estimate.cost_model import TABLE_I, Constants, Plan
-from zswarm.ot.estimate.sample import breed, rounds, simulations
+from zswarm.ot.estimate.sample import breed, counted, rounds, simulations
 from zswarm.ot.problem import Problem
 
 QUESTIONS = 25  # to each server
@@ -46,6 +47,7 @@ def calibrate(parts: Parts, connection: Connection) -> Calibration:
     complete = problem.experiment
     genomes = optimizer.ask()
     trial_s, dispatch_s = _time_trials(problem, connection, genomes)
+    differ = contest.unfit(problem) == "" and _differ(problem, connection, genomes)
     slots = connection.slots
     later, breed_s = breed(optimizer, len(genomes))
     evolve_s = breed_s + _gap(problem, connection, later, trial_s)
@@ -58,7 +60,7 @@ def calibrate(parts: Parts, connection: Connection) -> Calibration:
     )
     if not trips.seconds or not slots:
         raise NoServers(f"no server in realm {complete.cluster.realm} answered")
-    plan = plan_of(problem, genomes, len(genomes), len(later))
+    plan = plan_of(problem, genomes, len(genomes), len(later), differ=differ)
     constants = msgspec.structs.replace(  # files are not measured
         TABLE_I,
         step_s=trial_s / plan.steps,
@@ -79,11 +81,21 @@ def of_table_1(parts: Parts) -> Calibration:
     return Calibration(plan, TABLE_I, servers=1, slots=1)
 
 
-def plan_of(problem: Problem, genomes: Sequence[bytes], first: int, later: int) -> Plan:
+def plan_of(
+    problem: Problem,
+    genomes: Sequence[bytes],
+    first: int,
+    later: int,
+    *,
+    differ: bool = True,
+) -> Plan:
     """Describe an experiment for the cost model, with its games as candidates.
 
-    Some genomes are played here, to count steps and turns. ``first`` and ``later`` are the numbers
-    of candidates in a generation.
+    Args:
+        problem: the problem.
+        genomes: some of them are played here, to count steps and turns.
+        first, later: how many candidates the first generation has, and a later one.
+        differ: whether trials differ: else there is no assessment.
 
     Raises:
         EvaluationError: a trial that was tried failed.
@@ -104,14 +116,17 @@ def plan_of(problem: Problem, genomes: Sequence[bytes], first: int, later: int) 
     played = min(PLAYED, len(genomes))
     agents = max(1, len(simulator.owners))
     steps = max(1, round(decisions / agents / played))
+    work = counted(problem, first, later)
     return Plan(
-        generations=problem.experiment.generations,
+        generations=work.generations,
         population=sum(rounds(problem, first)),
         newcomers=sum(rounds(problem, later)),
         evaluations=problem.experiment.problem.trials,
         steps=steps,
         agents=agents,
         turns=max(1, round(turns / played / steps)),
+        played=amount.played(problem.experiment),
+        after=work.assessment_simulations if differ else 0,
     )
 
 
@@ -149,6 +164,13 @@ def _time_trials(
         candidates = genomes * (
             1 + int(len(candidates) / len(genomes) * SAMPLE_S * 1.5 / taken)
         )
+
+
+def _differ(problem: Problem, connection: Connection, genomes: list[bytes]) -> bool:
+    """Return whether trials of candidates differ from one seed to another."""
+    found = connection.outcomes(problem, genomes, seeds=range(2))
+    outcomes = np.stack([found.fitness, *found.metrics.values()])
+    return not np.array_equal(outcomes[..., 1:], outcomes[..., :-1], equal_nan=True)
 
 
 def _gap(

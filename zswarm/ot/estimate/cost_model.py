@@ -26,18 +26,21 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True):
     newcomers: int | None = None
     # Of a step: 1 if all agents act at once, ``agents`` if one after another.
     turns: int = 1
+    played: float = 1.0  # expected share of the simulations: less than 1 with racing
+    after: int = 0  # simulations that follow the last generation: the assessment's
 
     @property
     def batches(self) -> tuple[int, int]:
-        """Simulations of the first generation and of each later one."""
+        """Simulations of the first generation and of each later one, as expected."""
         later = self.population if self.newcomers is None else self.newcomers
-        return self.population * self.evaluations, later * self.evaluations
+        first, later = self.population * self.evaluations, later * self.evaluations
+        return round(first * self.played), round(later * self.played)
 
     @property
     def simulations(self) -> int:
-        """All simulations (eq. 1)."""
+        """All simulations (eq. 1), and those of the assessment."""
         first, later = self.batches
-        return first + (self.generations - 1) * later
+        return first + (self.generations - 1) * later + self.after
 
 
 class Constants(msgspec.Struct, frozen=True, kw_only=True):
@@ -185,7 +188,8 @@ def expected_s(way: Way, plan: Plan, constants: Constants, slots: int = 1) -> fl
         return constants.evolve_s + max(rounds_s, simulations * cost.serial_s)
 
     first, later = plan.batches
-    return generation(first) + (plan.generations - 1) * generation(later)
+    search = generation(first) + (plan.generations - 1) * generation(later)
+    return search + (generation(plan.after) if plan.after else 0.0)
 
 
 def useful_slots(way: Way, plan: Plan, constants: Constants) -> int:

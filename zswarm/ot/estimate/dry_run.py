@@ -13,7 +13,7 @@ import numpy as np
 from zswarm import evaluate, experiment
 from zswarm.config import ranges
 from zswarm.experiment import Experiment
-from zswarm.ot.assessment import contest, track
+from zswarm.ot.assessment import amount
 from zswarm.ot.build import Parts
 from zswarm.ot.estimate.sample import MOST_BRED, breed, counted, rounds
 from zswarm.ot.problem import Problem
@@ -67,7 +67,8 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
     candidates_first_generation: int
     candidates_later_generations: int
     evaluations: int
-    simulations: int
+    simulations: int  # at most
+    simulations_expected: int  # fewer with racing
     assessment_simulations: int  # at most, after the last generation
     trial_s: float
     slots: int  # of this machine
@@ -170,8 +171,8 @@ def _work(
         + METRIC * len(simulator.metrics)
         + PARTICIPANT * (simulator.participants - 1)
     )
-    assessed = 0 if sample.same else contest.most_trials(problem, simulations)
-    assessed += track.SEEDS * len(track.generations(complete))
+    share = amount.played(complete)
+    assessed = 0 if sample.same else effort.assessment_simulations
     record = evaluations * (genome_bytes + CANDIDATE)
     record += (simulations + assessed) * trial
 
@@ -179,13 +180,15 @@ def _work(
         """Count whole rounds of trials: each round of games waits for its last one."""
         steps = [sum(-(-games * trials // slots) for games in some) for some in played]
         steps_after = -(-assessed // slots)
-        return sample.trial_s * (steps[0] + others * steps[1] + steps_after)
+        searching = share * (steps[0] + others * steps[1])
+        return sample.trial_s * (searching + steps_after)
 
     slots = experiment.slots_of_this_machine(complete.cluster)
     return {
         "games": sum(played[0]),
         "evaluations": evaluations,
         "simulations": simulations,
+        "simulations_expected": round(share * simulations),
         "assessment_simulations": assessed,
         "slots": slots,
         "seconds": seconds(slots),

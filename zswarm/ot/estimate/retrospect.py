@@ -45,16 +45,18 @@ def look_back(run: Run, genome: bytes) -> Hindsight | None:
         return None
     known = len(history) // SHARE
     evaluated = [generation["evaluations"] for generation in history]
-    plan = _plan(run, genome, evaluated[0], evaluated[1] - evaluated[0])
     slots = _slots(run)
     trials, seconds = run.rows(
         "SELECT sum(count), sum(seconds) FROM outcomes WHERE generation BETWEEN 1 AND ?",
         tuple[int | None, float | None],
         known,
     )[0]
-    if plan is None or not slots or not trials or not seconds:
+    if not slots or not trials or not seconds:
         return None
     trial_s, each = seconds / trials, trials / known
+    plan = _plan(run, genome, evaluated[0], evaluated[1] - evaluated[0], each)
+    if plan is None:
+        return None
     taken = statistics.median(
         generation["seconds"] for generation in history[1 : known + 1]
     )
@@ -73,15 +75,25 @@ def look_back(run: Run, genome: bytes) -> Hindsight | None:
     )
 
 
-def _plan(run: Run, genome: bytes, first: int, later: int) -> Plan | None:
-    """Plan all generations except the first; None if the problem cannot be played here."""
+def _plan(run: Run, genome: bytes, first: int, later: int, each: float) -> Plan | None:
+    """Plan all generations except the first; None if the problem cannot be played here.
+
+    Args:
+        first, later: candidates of the first generation, and of a later one.
+        each: trials of a later one: fewer than its candidates have, with racing.
+    """
     try:
         plan = plan_of(Problem(run.experiment), [genome], first, later)
     except (ConfigError, EvaluationError, MemoryError, ValueError):
         return None
     generations = run.generations() - 1
     return msgspec.structs.replace(
-        plan, generations=generations, population=later, newcomers=None
+        plan,
+        generations=generations,
+        population=later,
+        newcomers=None,
+        played=each / (later * plan.evaluations),
+        after=0,
     )
 
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from zswarm.ot.assessment import amount, contest
 from zswarm.ot.build import Parts
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.problem import Problem
@@ -20,7 +21,8 @@ class Effort(NamedTuple):
     later: int
     generations: int
     evaluations: int
-    simulations: int
+    simulations: int  # at most
+    assessment_simulations: int  # at most, after the last generation
 
 
 def breed(optimizer: Optimizer, candidates: int) -> tuple[list[bytes], float]:
@@ -66,10 +68,14 @@ def counted(problem: Problem, first: int, later: int) -> Effort:
             fitting = 1 + max(0, limit - begin) // max(1, each)
             generations = min(generations, fitting)
     others = generations - 1
+    searched = played[0] + others * played[1]
+    expected = round(amount.played(complete) * searched)
+    fit = contest.unfit(problem) == ""
     return Effort(
         first,
         later,
         generations,
         first + others * later,
-        played[0] + others * played[1],
+        searched,
+        amount.trials_after(complete, expected, generations, fit=fit),
     )

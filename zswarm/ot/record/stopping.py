@@ -48,6 +48,20 @@ class StopWatch:
         if spent.best is not None and spent.best > self._best:
             self._best, self._stagnant = spent.best, 0
 
+    def generations_left(self) -> int | None:
+        """Return how many more fit into the budgets, each like the last one; None: no budget."""
+        stop, last = self._stop, self._last
+        if last is None:
+            return None
+        budgets = (
+            (stop.evaluations, self._evaluations, last.evaluations),
+            (stop.simulations, self._simulations, last.simulations),
+        )
+        fitting = [
+            max(0, limit - used) // max(1, each) for limit, used, each in budgets if limit
+        ]
+        return min(fitting, default=None)
+
     def reason(self) -> str:
         """Return why the run ends after the last generation that was counted, or ""."""
         stop, last = self._stop, self._last

@@ -33,8 +33,10 @@ def total(cells: Sequence[Cell], repeat: int) -> str:
     """Return the work of the whole study in words."""
     evaluations = repeat * sum(cell.effort.evaluations for cell in cells)
     simulations = repeat * sum(cell.effort.simulations for cell in cells)
+    assessed = repeat * sum(cell.effort.assessment_simulations for cell in cells)
     runs = plural(repeat * len(cells), "run")
-    return f"{runs}, {plural(evaluations, 'evaluation')}, {plural(simulations, 'simulation')}"
+    words = f"{runs}, {plural(evaluations, 'evaluation')}, {plural(simulations, 'simulation')}"
+    return f"{words}, and at most {assessed:,} to assess champions" if assessed else words
 
 
 def announce(loaded: Experiment, cells: Sequence[Cell], repeat: int) -> None:
@@ -70,6 +72,9 @@ def _work(cells: Sequence[Cell]) -> Iterator[tuple[str, list[str]]]:
     yield "candidates", [_candidates(cell) for cell in cells]
     for name in ("generations", "evaluations", "simulations"):
         yield name, [f"{getattr(cell.effort, name):,}" for cell in cells]
+    assessed = [cell.effort.assessment_simulations for cell in cells]
+    if any(assessed):
+        yield "assessment", [f"{count:,}" for count in assessed]
 
 
 def _genome(cell: Cell) -> str:

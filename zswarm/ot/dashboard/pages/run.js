@@ -34,13 +34,14 @@ class RunPage {
     this.curve = { generation: [], at: [], best: [], mean: [], low: [], high: [], evaluations: [] };
     this.spread = null;
     this.statistics = null;
+    this.track = null; // the best of some generations on held-out seeds
     this.events = [];
     this.level = 'info';
     this.loaded = false; // everything, once
     this.tried = false;
     this.loadSlow = throttled(SLOW_MS, async () => {
-      [this.spread, this.statistics] = await Promise.all([ask(api('spread')),
-        ask(api('statistics'))]);
+      [this.spread, this.statistics, this.track] = await Promise.all([ask(api('spread')),
+        ask(api('statistics')), ask(api('track'))]);
       this.draw();
       await this.loadChampions();
     });
@@ -115,7 +116,8 @@ class RunPage {
       bands && { name: 'quartiles', x: bands, low: spread.lower, high: spread.upper, ink: '--c3' },
       !spread && sparse && { name: 'range of means', x, low: curve.low, high: curve.high,
         ink: '--c2' },
-      { name: 'best', x, y: curve.best, ink: '--c1', dash: null, steps: true },
+      ...this.heldOut(x),
+      { name: 'best in search', x, y: curve.best, ink: '--c1', dash: null, steps: true },
       { name: 'mean', x, y: curve.mean, ink: '--c2', dash: '7 4' },
       bands && { name: 'median', x: bands, y: spread.median, ink: '--c3', dash: '2 3' },
     ].filter(Boolean), options);
@@ -128,22 +130,43 @@ class RunPage {
     }
   }
 
+  // Return the champion's level and the tracked generations' curve, each with its 95 % interval.
+  heldOut(x) {
+    const { track, state: { champion } } = this, lines = [];
+    if (track?.generation.length) {
+      const at = this.along(track);
+      lines.push({ name: 'best, held-out 95 %', x: at, low: track.low, high: track.high,
+        ink: '--c4' }, { name: 'best, held-out', x: at, y: track.mean, ink: '--c4', dash: null });
+    }
+    if (champion && x.length) {
+      const ends = [x[0], x.at(-1)], twice = (value) => [value, value];
+      lines.push({ name: 'champion, held-out 95 %', x: ends, low: twice(champion.low),
+        high: twice(champion.high), ink: '--c5' }, { name: 'champion, held-out', x: ends,
+        y: twice(champion.mean), ink: '--c5', dash: '10 3 2 3' });
+    }
+    return lines;
+  }
+
   showState() {
-    const { state } = this, done = state.generation ?? 0, running = state.status === 'running';
+    const { state } = this, { champion } = state, done = state.generation ?? 0, running = state.status === 'running';
     fill(this.status, badge(state.status));
     if (state.error) fill(this.notes, note(state.error));
     if (!('generation' in state)) return;
     const counted = Math.min(state.counted, state.trials);
     this.progress.max = state.generations || 1;
     this.progress.value = done + (state.trials ? counted / state.trials : 0);
-    const trials = `generation ${done + 1}: ${number(counted)} of ${number(state.trials)} trials`;
+    const trials = done < state.generations
+      ? `generation ${done + 1}: ${number(counted)} of ${number(state.trials)} trials`
+      : `assessment: ${number(counted)} of at most ${number(state.trials)} trials`;
     const last = state.at ? ['last recorded ', ago(state.at)] : [];
     fill(this.inner, ...(running && state.trials ? [trials] : last));
     const rate = state.rate === null ? `${number(state.trial_rate)} games/s`
       : number(state.rate, 3);
     const values = {
       generation: `${number(done)} / ${number(state.generations)}`, 'best in search': number(state.best),
-      'champion, held-out': number(state.held_out), mean: number(state.mean), evaluations: number(state.evaluations),
+      'champion, held-out': number(champion?.mean ?? null),
+      ...champion && { 'its 95 %': `${number(champion.low)} to ${number(champion.high)}` },
+      mean: number(state.mean), evaluations: number(state.evaluations),
       'evaluations/s': running ? rate : '–', 'time left': duration(state.eta_s),
       servers: number(state.servers), slots: number(state.slots),
       'sent again': number(state.requeued),

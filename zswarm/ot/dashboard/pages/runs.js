@@ -12,10 +12,12 @@ const POINTS = 200; // of medians and quartiles
 const FREE = new Set(['seed', 'generations']);
 const HEADS = [
   ['', ''], ['run', 'name'], ['state', 'status'], ['generation', 'generation', 'n'],
-  ['best', 'best', 'n'], ['held-out', 'held_out', 'n'], ['evaluations', 'evaluations', 'n'], ['simulator', 'simulator'],
+  ['best in search', 'best', 'n'], ['held-out', 'held_out', 'n'], ['evaluations', 'evaluations', 'n'], ['simulator', 'simulator'],
   ['network', 'representation'], ['optimizer', 'optimizer'], ['seed', 'seed', 'n'],
   ['last', 'at', 'n'],
 ];
+const RESULTS = [['best in search', 'best'], ['champion, held-out', 'held_out'],
+  ['generation', 'generation'], ['evaluations', 'evaluations']];
 const AXES = {
   generation: 'generation', evaluations: 'evaluations', time: 'since the first generation',
 };
@@ -188,8 +190,7 @@ class RunsPage {
     const keys = [...new Set(each.flatMap(Object.keys))].filter(differs);
     const rows = [
       ...keys.map((key) => [key, each.map((one) => one[key] ?? '–')]),
-      ...['best', 'held_out', 'generation', 'evaluations'].map((key) => [key.replace('_', '-'),
-        runs.map((row) => number(row[key]))]),
+      ...RESULTS.map(([label, key]) => [label, runs.map((row) => number(row[key]))]),
     ];
     fill(this.compared, table(['', ...runs.map(pathOf)],
       rows.map(([name, values]) => [rowHead(name), ...values.map((text) => [text, 'wrap'])])));
