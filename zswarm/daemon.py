@@ -2,15 +2,11 @@
 
 from collections.abc import Sequence
 
-import structlog
-
 from zswarm.errors import ConfigError
 from zswarm.security import keyring, refusals
 from zswarm.security.members import Role
 from zswarm.session import Reach, Session
-from zswarm.system import scouting
-
-log = structlog.get_logger()
+from zswarm.system import log, scouting
 
 
 def find_reach(

@@ -8,7 +8,6 @@ from typing import Any
 
 import click
 import msgspec
-import structlog
 
 from zswarm import daemon, session
 from zswarm.config.decode import overridden
@@ -88,7 +87,6 @@ def command(config: Path | None, log_level: str, **options: Any) -> None:
 
 def serve(read_options: Callable[[], RouterOptions]) -> int:
     """Route until SIGTERM or SIGINT, and return the exit code; SIGHUP reloads keys and options."""
-    logger = structlog.get_logger()
     notify = systemd.Notify()
     signals = {signal.SIGTERM, signal.SIGINT, signal.SIGHUP}
     # Before zenoh's threads, which inherit it.
@@ -101,7 +99,7 @@ def serve(read_options: Callable[[], RouterOptions]) -> int:
     options = read_options()
     reach = _reach(options)
     opened, listen = _open(options, reach)
-    logger.info(
+    log.info(
         "router_ready",
         listen=listen,
         keys=daemon.keys_in_words(reach),
@@ -115,20 +113,20 @@ def serve(read_options: Callable[[], RouterOptions]) -> int:
             new_options = read_options()
             new_reach = _reach(new_options)
         except ConfigError as error:
-            logger.error("reload_refused", reason=str(error))
+            log.error("reload_refused", reason=str(error))
         else:
             session.close(opened)
             try:
                 opened, listen = _open(new_options, new_reach)
                 options, reach = new_options, new_reach
-                logger.info("reloaded", listen=listen, keys=daemon.keys_in_words(reach))
+                log.info("reloaded", listen=listen, keys=daemon.keys_in_words(reach))
             except ConfigError as error:
-                logger.error("reload_refused", reason=str(error))
+                log.error("reload_refused", reason=str(error))
                 opened = _reopen(options, reach)
         notify.ready()
     notify.stopping()
     session.close(opened)
-    logger.info("router_stopped")
+    log.info("router_stopped")
     return 128 + number
 
 
@@ -157,9 +155,7 @@ def _reopen(options: RouterOptions, reach: Reach) -> session.Session:
         try:
             return _open(options, reach)[0]
         except ConfigError as error:
-            structlog.get_logger().error(
-                "off_the_network", reason=str(error), again_s=RETRY_S
-            )
+            log.error("off_the_network", reason=str(error), again_s=RETRY_S)
             if number := signal.sigtimedwait({signal.SIGTERM, signal.SIGINT}, RETRY_S):
                 sys.exit(128 + number.si_signo)
 

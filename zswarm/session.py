@@ -30,6 +30,8 @@ ROUTER = "0.0.0.0:7466"  # where a router listens by default
 LINK_TIMEOUT_S = 8
 # Zenoh closes a link on which one message takes longer; its default of 5 s ends slow links.
 WAIT_BEFORE_CLOSE_S = 60
+# Bytes that a link carries at once; a link to this machine's slots is never slow.
+BATCH, LOCAL_BATCH = 16_384, 65_535
 # Of zenoh. A dead link on which a message hangs occupies one until it is given up.
 SENDING_THREADS = 64
 OPEN_FILES = 8192
@@ -209,15 +211,16 @@ def _config(
 def _link(keyring: Keyring | None, given: Sequence[str]) -> dict[str, Any]:
     """Return the settings of each link; none but TCP is dialled unless the user gave it."""
     blocked = {"wait_before_close": WAIT_BEFORE_CLOSE_S * 1_000_000}
+    protocols = {endpoint.parse(text).protocol for text in given}
     link: dict[str, Any] = {
         "tx": {
             "lease": LINK_TIMEOUT_S * 1000,
             "keep_alive": 4,
-            "batch_size": 16384,
+            "batch_size": LOCAL_BATCH if protocols == {endpoint.SOCKET_FILE} else BATCH,
             "queue": {"congestion_control": {"block": blocked}},
         },
         "rx": {"max_message_size": MAX_MESSAGE + OTHER_BYTES},
-        "protocols": sorted({"tcp", *(endpoint.parse(text).protocol for text in given)}),
+        "protocols": sorted({"tcp", *protocols}),
     }
     if keyring is not None:
         link |= {"protocols": ["tls"], "tls": _tls(keyring)}

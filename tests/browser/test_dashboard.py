@@ -51,6 +51,34 @@ def test_all_runs_are_listed_and_their_curves_drawn_over_one_another(
     expect(page.get_by_role("heading", level=1)).to_have_text("alone")
 
 
+def test_runs_are_drawn_by_study_and_problem_and_a_link_reproduces_it(
+    page: Page, dashboard: Start, tmp_path: Path
+) -> None:
+    for seed in range(1, 4):
+        write(tmp_path / "study", f"seed-{seed}", seed=seed)
+    write(tmp_path, "alone")
+    other = ["problem.simulator=xor", "problem.settings={}", "problem.trials=1"]
+    write(tmp_path, "other", settings=other)
+    page.goto(dashboard(tmp_path).url)
+    expect(page.locator(".chart:visible")).to_have_count(2)
+    expect(page.get_by_role("heading", name="xor")).to_be_visible()
+    page.get_by_role("button", name="study (3)").click()
+    expect(page.locator(".chart:visible")).to_have_count(1)
+    expect(page.locator(".legend:visible .key")).to_have_count(3)
+    page.get_by_text("logarithmic").click()
+    page.reload()
+    expect(page.locator(".legend:visible .key")).to_have_count(3)
+    expect(page.get_by_label("logarithmic")).to_be_checked()
+    page.get_by_label("Filter runs").fill("alone")
+    page.get_by_role("button", name="tick shown").click()
+    expect(page.locator(".legend:visible .key")).to_have_count(4)
+    page.get_by_role("button", name="none").click()
+    page.evaluate("sessionStorage.clear()")
+    page.goto(page.url.split("?")[0] + "?runs=alone+other&scale=log")
+    expect(page.locator(".chart:visible")).to_have_count(2)
+    expect(page.locator(".legend:visible .key")).to_have_count(2)
+
+
 def test_medians_are_of_all_runs_of_a_setting_up_to_the_end_of_the_first(
     page: Page, dashboard: Start, tmp_path: Path
 ) -> None:

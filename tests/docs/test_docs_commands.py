@@ -74,6 +74,10 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
         "runs tests, for minutes",
         ".ci/run",
     ),
+    ("from-numpy.md", "*"): (
+        "is one module for each step",
+        "tests/docs/test_from_numpy.py",
+    ),
     ("python.md", "*"): ("is one program", "tests/docs/test_python_document.py"),
     ("keys.md", "*"): ("is about several machines", KEYS),
     (
@@ -81,7 +85,12 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
         "python -m zswarm.ros.simulation.node --link rospy --profile stageros --settings "
         "'{\"robots\": 2}' --seed 1 --poses poses.npy",
     ): ("needs ROS 1, and robots that answer", "tests/robots/test_packages_drive.py"),
-    ("ros.md", "cd examples/ros/stage"): (
+    (
+        "ros.md",
+        "sudo apt install git cmake g++ libfltk1.3-dev fluid libjpeg-dev libpng-dev "
+        "libltdl-dev libglu1-mesa-dev",
+    ): (INSTALLS, "tests/ros/stage/build.sh"),
+    ("ros.md", ". ~/stage/setup.sh"): (
         "needs Stage",
         "tests/ros/stage/test_evolution.py",
     ),

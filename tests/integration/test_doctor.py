@@ -311,7 +311,7 @@ def test_check_names_the_servers_that_match_and_why_others_do_not(tmp_path: Path
         (["--servers", "1"], "no server found in realm lab7; "),
         (
             ["--set=cluster.local_slots=1"],
-            "no server found in realm lab7: this machine's slots compute alone; ",
+            "no server found in realm lab7; using this machine's slots only; ",
         ),
     ],
 )

@@ -375,7 +375,7 @@ def test_a_run_survives_a_pulled_cable_and_a_power_cut(site: Site, alone: str) -
     first.unplug()
     run.wait_counted(run.counted() + 300)
     second.cut_power()
-    run.wait_said("no server computes now")
+    run.wait_said("none computes now")
     counted = run.counted()
     first.plug()
     run.wait_counted(counted + 100)

@@ -257,7 +257,8 @@ def test_a_second_optimizer_of_a_folder_is_refused_while_the_first_one_lives(
         second = scene.optimizer(server.endpoint, resume=scene.run)
         assert second.wait() == 2
         assert second.err.read_text() == (
-            f"zswarm-ot: {scene.run}: another zswarm-ot is at this run; stop it first\n"
+            f"zswarm-ot: {scene.run}: this run is in use by another zswarm-ot process; "
+            "stop that one first\n"
         )
         assert second.out.read_text() == ""
     scene.go_on(first.process.pid)

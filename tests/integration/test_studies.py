@@ -237,7 +237,7 @@ def test_a_stopped_study_prints_how_to_resume(
     second = play(tmp_path, "second", "resume", "runs/sweep")
     assert second.wait() == 2, "two programs at one study"
     assert (
-        "runs/sweep: another zswarm-ot is at this study; stop it first"
+        "runs/sweep: this study is in use by another zswarm-ot process; stop that one first"
         in second.err.read_text()
     )
     stopped.kill(number)

@@ -197,7 +197,7 @@ def test_a_router_carries_everything_and_may_be_restarted_in_the_middle(
     router.kill()
     router.wait()
     wait_until(
-        lambda: "no server computes now" in optimizer.err.read_text(),
+        lambda: "none computes now" in optimizer.err.read_text(),
         "the optimizer misses its servers",
     )
     assert site.counted() < TRIALS

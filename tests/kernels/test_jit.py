@@ -203,17 +203,22 @@ def test_warming_up_compiles_everything_that_a_trial_of_any_part_needs(
     assert set(said[3::4]) == {"0"}
 
 
-def test_modules_that_numba_loads_for_the_first_kernel_are_loaded_in_advance() -> None:
+def test_modules_that_numba_loads_for_the_first_kernel_are_loaded_in_advance(
+    tmp_path: Path,
+) -> None:
     """The fork server loads them; slots that load them themselves take 20 MB more each."""
-    code = (
-        "import sys, zswarm.evaluate, zswarm.kernels.compiler; before = set(sys.modules);"
-        "from zswarm.nets.fully_meshed import FullyMeshed; FullyMeshed.step.dispatcher;"
-        "print(set(sys.modules) - before)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert "numba" not in done.stdout, done.stdout
+    code = """
+import sys, zswarm.evaluate, zswarm.kernels.compiler
+before = set(sys.modules)
+from zswarm.nets.fully_meshed import FullyMeshed
+FullyMeshed.step.dispatcher
+print([name for name in sys.modules if "numba" in name and name not in before])
+print("numba.np.arraymath" in sys.modules)
+"""
+    compiling = run(code, PACKAGE.parent, tmp_path)
+    assert compiling == ["[]", "True"]
+    loading = run(code, PACKAGE.parent, tmp_path)
+    assert loading == ["[]", "False"], "loading what is compiled needs no compiler"
 
 
 @pytest.mark.parametrize("plain", ["", "1"])

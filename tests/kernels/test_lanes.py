@@ -5,11 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zswarm.kernels.jit import array, float32, int32, kernel, void
+from zswarm.kernels.jit import array, float32, float64, int32, kernel, sqrt, void
 from zswarm.kernels.lanes import (
     LANES,
     any_of,
     fill,
+    floor,
     list_true,
     load,
     scatter,
@@ -75,6 +76,36 @@ def test_the_compiled_form_gives_the_bits_of_the_plain_one(
     assert out[7 * LANES :].reshape(4, LANES)[:, 2].tolist() == [9.0, 10.0, 11.0, 12.0]
     assert np.array_equal(table[[0, 1]], numbers[[6, 4]], equal_nan=True), (
         "the last lane is written last"
+    )
+
+
+DOUBLES = array(float64)
+
+
+@kernel(void(DOUBLES, DOUBLES))
+def work_in_double(numbers, out):  # type: ignore[no-untyped-def]  # compiled
+    left, right = load(numbers, 0), load(numbers, LANES)
+    store(out, 0, left + right * 0.5)
+    store(out, LANES, 3.0 / left - right)
+    store(out, 2 * LANES, floor(left) + sqrt(select(right > 0.0, right, fill(2.0))))
+    out[3 * LANES] = floor(numbers[1]) if any_of(left < right) else sqrt(numbers[0])
+
+
+@pytest.mark.parametrize("awkward", [(), (0.0, -0.0, np.inf, -np.inf, np.nan, 1e300)])
+def test_float64_has_the_bits_of_the_plain_form(awkward: tuple[float, ...]) -> None:
+    numbers = Stream(2).uniform(-5.0, 5.0, 2 * LANES)
+    numbers[: len(awkward)] = awkward
+    results = []
+    for form in (work_in_double, getattr(work_in_double, "py_func", work_in_double)):
+        out = np.zeros(3 * LANES + 1)
+        with np.errstate(all="ignore"):
+            form(numbers, out)
+        results.append(out)
+    assert np.array_equal(*results, equal_nan=True)
+    plain = results[1][~np.isnan(results[1])]
+    assert (np.signbit(results[0][~np.isnan(results[1])]) == np.signbit(plain)).all()
+    assert results[1][2 * LANES + 7] == np.floor(numbers[7]) + np.sqrt(
+        numbers[15] if numbers[15] > 0.0 else 2.0
     )
 
 

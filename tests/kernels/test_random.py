@@ -174,6 +174,19 @@ def test_a_kernel_draws_the_integers_of_a_stream(seed: int, bounds: list[int]) -
             assert plain(plain_state, bound) == expected
 
 
+def test_uniform_numbers_drawn_ahead_are_those_of_the_stream() -> None:
+    """Column by column, also those that are skipped."""
+    state, numbers = np.array([5], np.uint64), np.zeros((3, 4))
+    with np.errstate(over="ignore"):
+        draws.draw_uniforms(state, numbers, 3)
+        assert state[0] == 5
+        draws.skip(state, 12)
+        following = draws.draw_uniform(state)
+    expected = Stream(5).uniform(0.0, 1.0, 13)
+    assert np.array_equal(numbers.T.reshape(-1), expected[:12])
+    assert following == expected[12]
+
+
 def test_a_derived_seed_depends_on_every_argument() -> None:
     variants = [
         *(

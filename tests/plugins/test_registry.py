@@ -33,8 +33,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
     loaded = set(sys.modules)
 
     def forget() -> None:
-        plugins._installed.cache_clear()
-        for cached in vars(version_hashes).values():
+        for cached in (*vars(plugins).values(), *vars(version_hashes).values()):
             if hasattr(cached, "cache_clear"):
                 cached.cache_clear()
 

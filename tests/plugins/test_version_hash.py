@@ -85,7 +85,7 @@ def fresh() -> tuple[str, str]:
 
 
 def forget() -> None:
-    for remembered in vars(version_hash).values():
+    for remembered in (*vars(version_hash).values(), *vars(plugins).values()):
         if hasattr(remembered, "cache_clear"):
             remembered.cache_clear()
 

@@ -153,7 +153,7 @@ def test_an_answer_that_cannot_be_sent_is_logged_and_the_next_one_is_sent(
     assert sent[0].dropped
     assert sent[1].replies == [b"answer"]
     server.finish(60.0)
-    assert "sending_failed" in capsys.readouterr().out
+    assert "sending_failed" in capsys.readouterr().err
 
 
 def test_the_keys_of_a_version_differ_in_the_version_alone() -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from zswarm.kernels.cache import cache_folder, claimed
 from zswarm.kernels.signatures import STEP, STEP_SIGNATURE, ArrayType
+from zswarm.plugins.registry import plugin_files
 
 os.environ["NUMBA_CACHE_DIR"] = str(claimed(cache_folder()))
 # SVML's functions differ from LLVM's in the last bits.
@@ -22,15 +23,26 @@ os.environ["NUMBA_DISABLE_INTEL_SVML"] = "1"
 # numba reads the two settings above when it is imported.
 import numba
 from numba import types
+from numba.core import (
+    boxing as boxing,
+)  # this and others: so that slots need not load them
 from numba.core import typeinfer
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+from numba.core.runtime.nrt import rtsys
+from numba.cpython import numbers as numbers
+from numba.experimental import function_type as function_type
+from numba.np import arrayobj as arrayobj
 
 numba.config.reload_config()  # reads them again, in case numba was imported before
-# Load now what numba loads for its first kernel, so that slots inherit it from the fork server.
-numba.core.registry.cpu_target.typing_context.refresh()
-numba.core.registry.cpu_target.target_context.refresh()
 
 from zswarm.kernels import vectors as vectors  # noqa: E402  teaches numba the functions of lanes.py
+
+# Load now what the first kernel needs, so that slots inherit it from the fork server. Where all are
+# zswarm's and compiled, that is numba's runtime, and not its compiler, which takes half a second.
+rtsys.initialize(numba.core.registry.cpu_target.target_context)
+if plugin_files() or not any(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbi")):
+    numba.core.registry.cpu_target.typing_context.refresh()
+    numba.core.registry.cpu_target.target_context.refresh()
 
 
 class Cache(FunctionCache):
@@ -43,6 +55,19 @@ class Cache(FunctionCache):
             self._cache_path, self._impl.filename_base, locator.get_source_stamp()
         )
         self.index = Path(self._cache_file._index_path)
+        self._is_ours = function.__module__.startswith("zswarm.")
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Return a compiled form, or None.
+
+        numba would load its compiler first, because a compiled form may call C functions that the
+        compiler's modules register. Those of zswarm's kernels call numba's runtime only.
+        """
+        if not self._is_ours:
+            return super().load_overload(signature, target_context)  # type: ignore[no-untyped-call]
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(signature, target_context)  # type: ignore[no-untyped-call]
+        return None
 
 
 class CacheFile(IndexDataCacheFile):

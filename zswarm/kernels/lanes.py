@@ -4,7 +4,7 @@
 lane, ``select`` replaces a branch, ``store`` writes. In a kernel a vector is one register, or two
 of four lanes where the processor has no wider ones; in Python it is a numpy array. Both round each
 operation once and reorder nothing, so the bits are those of eight scalars. Elements are float32,
-int32 or boolean, which is the result of a comparison.
+float64, int32 or boolean, which is the result of a comparison.
 """
 
 from typing import Any
@@ -15,7 +15,7 @@ LANES = 8
 
 
 def load(array: np.ndarray, at: int) -> np.ndarray:
-    """Return ``array[at]`` to ``array[at + 7]`` of a flat float32 or int32 array."""
+    """Return ``array[at]`` to ``array[at + 7]`` of a flat float32, float64 or int32 array."""
     return array[at : at + LANES].copy()
 
 
@@ -25,7 +25,7 @@ def store(array: np.ndarray, at: int, numbers: np.ndarray) -> None:
 
 
 def fill(number: Any) -> np.ndarray:
-    """Return a vector with one number, ``np.float32`` or ``np.int32``, in all lanes."""
+    """Return a vector with one number, ``np.float32``, ``np.int32`` or a float64, in all lanes."""
     return np.full(LANES, number)
 
 
@@ -81,3 +81,8 @@ def sqrt(x: Any) -> Any:
     numba's ``np.sqrt`` is a slow call; this is the processor's instruction.
     """
     return np.sqrt(x)
+
+
+def floor(x: Any) -> Any:
+    """Return the largest whole number that is not above a number, or those of lanes."""
+    return np.floor(x)

@@ -3,8 +3,8 @@
 ``exp`` and its like differ between numpy, numba, CPUs and C libraries in 10-40 % of float32 values.
 Here they are made of ``+ - * /`` in a fixed order, which IEEE 754 rounds the same everywhere, and
 of remainders, which are exact. Simulators, networks and exported controllers take transcendental
-functions from this file only. ``ordered_sum`` and the functions after it replace numpy's
-reductions, which promise no order of additions.
+functions from this file and ``angles.py`` only. ``ordered_sum`` and the functions after it replace
+numpy's reductions, which promise no order of additions.
 """
 
 # mypy: disable-error-code=no-untyped-def

@@ -198,7 +198,12 @@ compiled_quotient = inline(counts=False)(
 def draw_word(state):
     """Draw as ``Stream.words``; ``state`` is (1,) uint64, initially the seed of the stream."""
     state[0] += np.uint64(GAMMA)
-    word = state[0]
+    return scrambled(state[0])
+
+
+@inline
+def scrambled(word):
+    """Return the word of a state."""
     word = (word ^ (word >> np.uint64(30))) * np.uint64(MIX_1)
     word = (word ^ (word >> np.uint64(27))) * np.uint64(MIX_2)
     return word ^ (word >> np.uint64(31))
@@ -215,6 +220,27 @@ def draw_integer(state, bound):
 def draw_uniform(state):
     """Draw as ``Stream.uniform`` from 0 to 1."""
     return np.float64(draw_word(state) >> np.uint64(11)) * UNIT
+
+
+@inline
+def draw_uniforms(state, numbers, stride):
+    """Draw as ``draw_uniform``: row ``r`` and column ``c`` is number ``stride c + r``.
+
+    Args:
+        numbers: (stride, at least columns) float64.
+    """
+    columns = numbers.shape[1]
+    for row in range(stride):
+        for column in range(columns):
+            ahead = np.uint64(stride * column + row + 1) * np.uint64(GAMMA)
+            word = scrambled(state[0] + ahead) >> np.uint64(11)
+            numbers[row, column] = np.float64(word) * UNIT
+
+
+@inline
+def skip(state, words):
+    """Skip a number of words."""
+    state[0] += np.uint64(words) * np.uint64(GAMMA)
 
 
 @inline

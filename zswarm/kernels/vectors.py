@@ -19,6 +19,7 @@ from zswarm.kernels.lanes import (
     LANES,
     any_of,
     fill,
+    floor,
     list_true,
     load,
     scatter,
@@ -30,6 +31,7 @@ from zswarm.kernels.lanes import (
 
 WORDS = {
     types.float32: ir.FloatType(),
+    types.float64: ir.DoubleType(),
     types.int32: ir.IntType(32),
     types.boolean: ir.IntType(1),
 }
@@ -108,7 +110,7 @@ def _binary(
             _as_lanes(builder, type_, value)
             for type_, value in zip(sig.args, args, strict=True)
         )
-        return emit(builder, element == types.float32, *sides)
+        return emit(builder, isinstance(element, types.Float), *sides)
 
     for arguments in ((Lanes, Lanes), (Lanes, types.Number), (types.Number, Lanes)):
         _operation(function, typed, *arguments)(lowered)
@@ -126,11 +128,12 @@ def _comparison(sign: str) -> Callable[..., Any]:
     )(sign, left, right)
 
 
-NUMBERS = (types.float32, types.int32)
+FLOATS = (types.float32, types.float64)
+NUMBERS = (*FLOATS, types.int32)
 _binary(operator.add, _arithmetic("fadd", "add"), NUMBERS)
 _binary(operator.sub, _arithmetic("fsub", "sub"), NUMBERS)
 _binary(operator.mul, _arithmetic("fmul", "mul"), NUMBERS)
-_binary(operator.truediv, _arithmetic("fdiv", "fdiv"), (types.float32,))
+_binary(operator.truediv, _arithmetic("fdiv", "fdiv"), FLOATS)
 _binary(operator.and_, _arithmetic("and_", "and_"), (types.boolean,))
 _binary(operator.or_, _arithmetic("or_", "or_"), (types.boolean,))
 for compare, sign in (
@@ -357,24 +360,36 @@ def _scatter(context: Any, builder: Any, sig: Any, args: Any) -> Any:
     return context.get_dummy_value()
 
 
-@intrinsic
-def _root(_, x):  # numba looks at its arguments
-    def generate(context, builder, signature, arguments):
-        kind = context.get_value_type(signature.return_type)
-        is_vector = hasattr(kind, "count")
-        name = (
-            f"v{kind.count}{kind.element.intrinsic_name}"
-            if is_vector
-            else kind.intrinsic_name
-        )
-        root = get_or_insert_function(
-            builder.module, ir.FunctionType(kind, [kind]), f"llvm.sqrt.{name}"
-        )
-        return builder.call(root, arguments)
+def _rounded(name: str) -> Any:
+    """Return the processor's instruction for a float or for lanes, as an intrinsic."""
 
-    return (x(x), generate) if isinstance(getattr(x, "element", x), types.Float) else None
+    @intrinsic
+    def instruction(_, x):  # numba looks at its arguments
+        def generate(context, builder, signature, arguments):
+            kind = context.get_value_type(signature.return_type)
+            if hasattr(kind, "count"):
+                of = f"v{kind.count}{kind.element.intrinsic_name}"
+            else:
+                of = kind.intrinsic_name
+            function = ir.FunctionType(kind, [kind])
+            called = get_or_insert_function(builder.module, function, f"llvm.{name}.{of}")
+            return builder.call(called, arguments)
+
+        if isinstance(getattr(x, "element", x), types.Float):
+            return x(x), generate
+        return None
+
+    return instruction
+
+
+_root, _down = _rounded("sqrt"), _rounded("floor")
 
 
 @overload(sqrt)
 def _sqrt(x):
-    return lambda x: _root(x)  # type: ignore[call-arg]
+    return lambda x: _root(x)
+
+
+@overload(floor)
+def _floor(x):
+    return lambda x: _down(x)

@@ -110,9 +110,7 @@ class Requests:
         """
         asked = control.asked(self._folder)
         if asked == "pause":
-            self._logger.on_say(
-                "the run pauses, as requested, until it is asked to continue"
-            )
+            self._logger.on_say("paused, as requested; continue it in the dashboard")
             cluster.pause(paused=True)
             while asked == "pause" and not self._stop.is_set():
                 time.sleep(control.CHECK_S)

@@ -90,13 +90,21 @@ COMPOSED = {("representation", "bulk")}  # made of the other bundled parts of th
 @cache
 def _installed(kind: Kind) -> dict[str, "EntryPoint"]:
     # Help and completion do without, which takes 20 ms to import.
-    from importlib.metadata import EntryPoint, entry_points
+    from importlib.metadata import EntryPoint
 
     group = f"zswarm.{kind}s"
-    table = {point.name: point for point in entry_points(group=group)}
+    table = {point.name: point for point in entry_points().select(group=group)}
     return table | {
         name: EntryPoint(name, target, group) for name, target in BUNDLED[kind].items()
     }
+
+
+@cache  # reading them takes longer than all else that a command does with them
+def entry_points() -> Any:
+    """Return the entry points of all installed distributions."""
+    from importlib.metadata import entry_points
+
+    return entry_points()
 
 
 def foreign(kind: Kind) -> dict[str, Path]:

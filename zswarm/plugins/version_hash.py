@@ -19,10 +19,9 @@ import platform
 import re
 from collections.abc import Iterable, Mapping
 from functools import cache
-from importlib.metadata import PackageNotFoundError, entry_points, version
+from importlib.metadata import PackageNotFoundError, version
 from itertools import takewhile
 from pathlib import Path
-from typing import Any
 
 from zswarm.plugins import registry as plugins
 from zswarm.plugins.distributions import compiled_files, regular
@@ -178,7 +177,9 @@ def _further(libraries: tuple[str, ...]) -> dict[str, str]:
     if not libraries:
         return {}
     adding = [
-        point.dist for name in libraries for point in _entry_points().select(group=name)
+        point.dist
+        for name in libraries
+        for point in plugins.entry_points().select(group=name)
     ]
     found = {library: _version(library) for library in libraries}
     found |= {package.name: package.version for package in adding if package is not None}
@@ -192,11 +193,6 @@ def _distributions(simulator: str, representation: str) -> dict[str, str]:
         **plugins.distribution_versions("simulator", simulator),
         **plugins.distribution_versions("representation", representation),
     }
-
-
-@cache
-def _entry_points() -> Any:  # which type depends on the version of Python
-    return entry_points()
 
 
 def _version(library: str) -> str:

@@ -18,6 +18,7 @@ from zswarm.protocol import endpoint
 from zswarm.security import tls_diagnosis
 from zswarm.security.keyring import Keyring
 from zswarm.security.members import Holder
+from zswarm.system import log
 from zswarm.system.text import clean
 
 # Access rules log their refusals at no other level.
@@ -58,15 +59,9 @@ def watch_links() -> None:
     threading.Thread(target=_read, args=(reading,), name="refusals", daemon=True).start()
 
 
-def _warn(event: str, **fields: str) -> None:
-    import structlog  # lazily: it imports rich, which a run that only looks for servers needs not
-
-    structlog.get_logger().warning(event, **fields)
-
-
 def log_stranger(certificate: str, address: str, reason: str) -> None:
     """Log a program that is not a member, for a daemon."""
-    _warn("member_unknown", certificate=certificate, address=address, reason=reason)
+    log.warning("member_unknown", certificate=certificate, address=address, reason=reason)
 
 
 def watch_members(
@@ -116,7 +111,7 @@ def watch_routers(connect: Sequence[str], keyring: Keyring | None) -> None:
             if not reason and keyring is None and tls_diagnosis.speaks_tls(at):
                 reason = "it lets in members only: zswarm-keys join BUNDLE"
             if reason:
-                _warn("router_refused", endpoint=text, reason=reason)
+                log.warning("router_refused", endpoint=text, reason=reason)
 
     if connect:
         timer = threading.Timer(DIALLED_S, look)
@@ -165,8 +160,8 @@ def _read(reading: int) -> None:
                 sys.stderr.write(line)
             if (denied := posed_as(line)) and is_due(denied[0]):
                 reason = "the key is not of its own name"
-                _warn(
+                log.warning(
                     "member_refused", certificate=denied[0], key=denied[1], reason=reason
                 )
             elif (reason := handshake_reason(line)) and is_due(reason):
-                _warn("link_refused", reason=reason)
+                log.warning("link_refused", reason=reason)

@@ -5,65 +5,17 @@
 
 import numpy as np
 
-from zswarm.kernels.jit import float32, float64, inline, int64, kernel, void
+from zswarm.kernels.jit import float32, float64, int64, kernel, void
 from zswarm.kernels.portable import cos, sin
 from zswarm.kernels.signatures import Float32Rows, Float64Rows, Float64s, Int64s
 from zswarm.sims.robot_interface import velocity
+from zswarm.sims.toolbox import inverse, to_disc, to_rectangle, to_square
 
 SECTORS = 8  # of a laser scan
 SCAN = tuple(f"scan_{sector}" for sector in range(SECTORS))  # from the right to the left
 ZERO, ONE = np.float32(0), np.float32(1)
-STEEP = 1e12  # in place of 1 / 0
 # ``rows``: float64, for each robot, then for each movable, then for the ground; speeds per step.
 X, Y, ANGLE, SPEED_X, SPEED_Y, TURNING = range(6)
-
-
-@inline
-def inverse(x):
-    """Return 1 / x, and something large for what is nearly 0."""
-    if abs(x) * STEEP < 1.0:
-        return -STEEP if x < 0.0 else STEEP
-    return 1.0 / x
-
-
-@inline
-def to_rectangle(left, low, right, high, per_x, per_y, most):
-    """Return a ray's length to a rectangle, at most ``most``; sides are relative to its start."""
-    x_1 = left * per_x
-    x_2 = right * per_x
-    y_1 = low * per_y
-    y_2 = high * per_y
-    enter = max(min(x_1, x_2), min(y_1, y_2))
-    leave = min(max(x_1, x_2), max(y_1, y_2))
-    if enter > leave or leave < 0.0 or enter > most:
-        return most
-    return max(enter, 0.0)
-
-
-@inline
-def to_square(x, y, c, s, size, dx, dy, most):
-    """Return a ray's length to a square that is turned, at most ``most``.
-
-    Its centre is relative to the ray's start, ``c`` and ``s`` are cosine and sine of its angle,
-    and ``size`` is half its side.
-    """
-    along = c * x + s * y
-    aside = c * y - s * x
-    left, right = along - size, along + size
-    low, high = aside - size, aside + size
-    per_along, per_aside = inverse(c * dx + s * dy), inverse(c * dy - s * dx)
-    return to_rectangle(left, low, right, high, per_along, per_aside, most)
-
-
-@inline
-def to_disc(x, y, dx, dy, radius, most):
-    """Return a ray's length to a disc, at most ``most``; its centre is relative to the start."""
-    along = x * dx + y * dy
-    aside = y * dx - x * dy
-    chord = radius * radius - aside * aside
-    if along > 0.0 and chord > 0.0:
-        return min(most, max(along - np.sqrt(chord), 0.0))
-    return most
 
 
 @kernel(

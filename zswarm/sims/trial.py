@@ -181,6 +181,8 @@ def problem(
     """Build the kernel.
 
     The loop gets a name and globals of its own: numba caches no function that closes over others.
+    It also gets the file of ``start``, because numba caches by file: a changed problem is compiled
+    again, and problems of two modules do not share a kernel.
     """
     functions = {
         "start": start,
@@ -189,7 +191,8 @@ def problem(
         "is_over": is_over,
         "judge": judge,
     }
-    code = loop.__code__
+    file = getattr(start, "py_func", start).__code__.co_filename
+    code = loop.__code__.replace(co_filename=file)
     play = FunctionType(code, {**globals(), **functions}, name)
     play.__qualname__ = name
     numbers = [int64] * (code.co_argcount - 3)

@@ -10,13 +10,13 @@ import time
 from typing import TYPE_CHECKING
 
 import msgspec
-import structlog
 
 from zswarm.ss.local.snapshot import LeaseView, MissingSlot, Rate, View, slot_states
 from zswarm.ss.network import Presence
 from zswarm.ss.slots.table import SlotTable
 from zswarm.ss.workers import orphans
 from zswarm.ss.workers.parent import Worker
+from zswarm.system import log
 from zswarm.system.systemd import Notify
 from zswarm.system.version import VERSION
 
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 MISSING_S = 30.0  # a slot without a process is reported; earlier if the watchdog's time is shorter
 LOOK_EVERY_S, SHOW_EVERY_S = 0.1, 1.0  # at most; showing: to systemd and Prometheus
-
-log = structlog.get_logger()
 
 
 class Health(msgspec.Struct, eq=False):

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 
 import msgspec
-import structlog
 import zenoh
 
 from zswarm import daemon, session
@@ -24,6 +23,7 @@ from zswarm.session import Reach
 from zswarm.ss.local.control import LocalQuery
 from zswarm.ss.slots import events
 from zswarm.ss.workers.remote import FullPipe, Unheard
+from zswarm.system import log
 from zswarm.system.text import clean
 
 ANSWER_S = 2.0  # for the optimizer to answer; zenoh keeps a kilobyte per query as long
@@ -32,8 +32,6 @@ MAX_SENDERS = 256  # runs that have a thread for answers
 # how many of them may be one user's, or of no user: offers and malformed keys.
 MAX_INBOX, MAX_INBOX_BYTES = 10_000, 256 << 20
 SHARE, SHARE_BYTES = 2_500, 64 << 20
-
-log = structlog.get_logger()
 
 
 class PeerQuery:

@@ -17,7 +17,6 @@ import time
 from collections.abc import Callable
 
 import msgspec
-import structlog
 
 from zswarm import daemon
 from zswarm.errors import ConfigError
@@ -37,7 +36,7 @@ from zswarm.ss.workers.child import Here, SharedMemory
 from zswarm.ss.workers.output import LINE_WIDTH
 from zswarm.ss.workers.parent import Worker
 from zswarm.ss.workers.remote import CANCELLED, FullPipe, Questions, Unheard
-from zswarm.system import landlock
+from zswarm.system import landlock, log
 from zswarm.system.systemd import Notify
 from zswarm.system.text import clean
 from zswarm.system.version import VERSION
@@ -46,8 +45,6 @@ TICK_S = 0.25
 PASS_S = 0.1  # for the items of one pass of the loop
 RETURN_S = 5.0  # to the network, which a reload lost
 FINISH_S = 2.0  # for the last answers
-
-log = structlog.get_logger()
 
 
 class Server:

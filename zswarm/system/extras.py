@@ -4,13 +4,12 @@ import importlib
 import importlib.util
 import shlex
 import sys
-from importlib import metadata
 from types import ModuleType
 from typing import TYPE_CHECKING
 
 from zswarm.errors import ConfigError
 
-if TYPE_CHECKING:  # slows the start
+if TYPE_CHECKING:  # this, and importlib's metadata, slow the start
     from packaging.requirements import Requirement
 
 
@@ -52,6 +51,8 @@ def installing(*names: str) -> str:
 
 def requirements() -> dict[str, list["Requirement"]]:
     """Return zswarm's requirements by extra, "" for those without one; none if not installed."""
+    from importlib import metadata
+
     from packaging.requirements import Requirement
 
     try:

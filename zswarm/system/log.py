@@ -1,17 +1,55 @@
-"""Set up logging to stderr: for people on a terminal, otherwise one JSON object per line."""
+"""Log to stderr: for people on a terminal, otherwise one JSON object per line.
 
+structlog is imported with the first line, because it loads rich and asyncio: this machine's slots,
+which log warnings only, start without it.
+"""
+
+import functools
 import logging
 import sys
-
-import structlog
+from typing import Any
 
 from zswarm.system import terminal
 
 LEVELS = ("debug", "info", "warning", "error")
+_level = "info"
 
 
 def set_up(level: str = "info") -> None:
-    """Configure structlog; call it once, when a program starts."""
+    """Choose the least level that is logged; call it once, when a program starts."""
+    global _level  # a program has one log
+    _level = level
+
+
+def debug(event: str, /, **fields: Any) -> None:
+    """Log what only those who look for a fault in zswarm need."""
+    _log("debug", event, fields)
+
+
+def info(event: str, /, **fields: Any) -> None:
+    """Log what happens."""
+    _log("info", event, fields)
+
+
+def warning(event: str, /, **fields: Any) -> None:
+    """Log what limits the program."""
+    _log("warning", event, fields)
+
+
+def error(event: str, /, **fields: Any) -> None:
+    """Log what is broken."""
+    _log("error", event, fields)
+
+
+def _log(level: str, event: str, fields: dict[str, Any]) -> None:
+    if LEVELS.index(level) >= LEVELS.index(_level):
+        getattr(_logger(), level)(event, **fields)
+
+
+@functools.cache
+def _logger() -> Any:
+    import structlog
+
     last: structlog.typing.Processor = structlog.processors.JSONRenderer()
     if sys.stderr.isatty():
         last = structlog.dev.ConsoleRenderer(colors=terminal.coloured(sys.stderr))
@@ -24,7 +62,8 @@ def set_up(level: str = "info") -> None:
             last,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(
-            getattr(logging, level.upper())
+            getattr(logging, _level.upper())
         ),
-        logger_factory=structlog.PrintLoggerFactory(sys.stderr),
+        logger_factory=lambda *_: structlog.PrintLogger(sys.stderr),
     )
+    return structlog.get_logger()

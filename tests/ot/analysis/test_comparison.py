@@ -288,6 +288,6 @@ def test_words_give_the_p_value_and_the_corrected_one() -> None:
     """A corrected p is no probability of chance: it is named for what it is."""
     pair = comparison.Pair("a", "b", 25.0, 0.008, 0.048, 1.0, "exact")
     words = comparison.describe(pair)
-    assert words.endswith("(large effect; p = 0.008, Holm-adjusted p = 0.048)")
+    assert words.endswith("A12 = 1.00 (large effect), p = 0.008, Holm-adjusted p = 0.048")
     alone = comparison.describe(pair._replace(p_holm=0.008))
-    assert alone.endswith("(large effect; p = 0.008)")
+    assert alone.endswith("A12 = 1.00 (large effect), p = 0.008")

@@ -81,7 +81,7 @@ def test_a_paused_run_continues_when_the_request_is_withdrawn(tmp_path: Path) ->
         1,
         2,
     ]
-    assert logger.said == ["the run pauses, as requested, until it is asked to continue"]
+    assert logger.said == ["paused, as requested; continue it in the dashboard"]
 
 
 @pytest.mark.parametrize("word", ["stop", "drain"])

@@ -395,7 +395,8 @@ def test_only_this_machines_own_slots_end_a_run_by_their_refusal() -> None:
     def watch() -> Watch:
         options, none = ClusterConfig(), threading.Event()
         local: Any = SimpleNamespace(ended=lambda: "", start_again=lambda: "")
-        return Watch(options, "xor", local, none, say=lambda _: None, check=lambda: None)
+        said = {"say": lambda _: None, "wait": lambda _: None, "check": lambda: None}
+        return Watch(options, "xor", local, none, **said)
 
     standing = Standing(own=frozenset({"local-01234567"}))
     for event in ("refused", "mismatch", "banned", "unprepared"):

@@ -103,7 +103,9 @@ def test_a_second_run_of_the_same_name_gets_its_own_folder(
 
 
 def test_a_run_in_use_is_refused(record: Record) -> None:
-    with pytest.raises(ConfigError, match="another zswarm-ot is at this run"):
+    with pytest.raises(
+        ConfigError, match="this run is in use by another zswarm-ot process"
+    ):
         Record.open(record.folder)
 
 

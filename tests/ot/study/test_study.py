@@ -71,7 +71,7 @@ def test_a_study_in_use_is_refused(folder: Path) -> None:
     with Study.open(folder):
         assert (
             refusal(folder)
-            == f"{folder}: another zswarm-ot is at this study; stop it first"
+            == f"{folder}: this study is in use by another zswarm-ot process; stop that one first"
         )
     Study.open(folder).__exit__(None, None, None)
 

@@ -104,6 +104,22 @@ def test_readings_of_before_the_reset_that_arrive_late_begin_no_trial(
         simulator.close()
 
 
+def test_a_simulation_whose_readings_arrive_too_late_is_named_as_too_fast(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with running(tmp_path, monkeypatch, lag_s=3.0) as settings:
+        simulator = in_slot(settings)
+        simulator.reset(1)
+        simulator.close()
+        simulator = in_slot(settings, deadline_s=1.0)
+        with pytest.raises(
+            EvaluationError,
+            match=r"no scan and pose of robot 0, 1 at .* s within 1 s \(deadline_s\): scans arrive "
+            r"\S+ s of the simulation late, which is too fast for this machine; slow it down",
+        ):
+            simulator.reset(1)
+
+
 def test_no_step_is_missed_in_a_simulation_that_is_slow_enough(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

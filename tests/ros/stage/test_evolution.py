@@ -1,8 +1,11 @@
 """Controllers evolve in Stage, and what evolved in this process drives there."""
 
 import os
+import re
 import shlex
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -82,9 +85,22 @@ def test_a_run_in_stage_is_the_same_on_two_servers_though_a_stage_is_killed(
     tmp_path: Path,
 ) -> None:
     """Each of their three slots has a Stage; then another run has one slot."""
-    expected = run(tmp_path / "one", 1)["history_hash"]
+    expected = run(tmp_path / "one", 1)
     done = run(tmp_path / "two", 1, 2, kill=True)
-    assert done["history_hash"] == expected
+    assert done["history_hash"] == expected["history_hash"]
+    command = [sys.executable, stage_here.EXAMPLE / "champion.py", "runs/stage"]
+    environment = {**os.environ, "ZSWARM_ROS": str(tmp_path / "one")}
+    played = subprocess.run(
+        command,
+        cwd=tmp_path / "one",
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert re.fullmatch(
+        rf"\d of 3 robots left, after \S+ s; fitness {done['best']:g}\n", played.stdout
+    )
 
 
 def run(folder: Path, *capacities: int, kill: bool = False) -> dict[str, Any]:

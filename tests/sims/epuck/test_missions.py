@@ -94,7 +94,7 @@ def test_robots_start_apart_in_the_disc() -> None:
     with interpreted():
         for seed in range(5):
             trial.start(made, np.uint64(seed))
-            x, y = made.robots[[X, Y]]
+            x, y = made.robots[[X, Y], : made.number]
             apart = np.sqrt((x - x[:, None]) ** 2 + (y - y[:, None]) ** 2)
             assert (apart[~np.eye(20, dtype=bool)] >= 2 * RADIUS).all()
             assert (np.sqrt(x * x + y * y) <= 1.2).all()
@@ -126,7 +126,7 @@ def test_robots_of_generated_missions_start_inside_and_apart(seed: int) -> None:
     made, mission = simulator.world, generated.mission(seed)
     with interpreted():
         trial.start(made, np.uint64(seed))
-    x, y = made.robots[[X, Y]]
+    x, y = made.robots[[X, Y], : made.number]
     apart = np.sqrt((x - x[:, None]) ** 2 + (y - y[:, None]) ** 2)
     assert (apart[~np.eye(made.number, dtype=bool)] >= 2 * RADIUS).all()
     for wall in mission.arena.outer:

@@ -8,6 +8,7 @@ import pytest
 
 from tests.sims.epuck.recorded import FOLDER, WALL, command, place, rows, world
 from zswarm.kernels.jit import interpreted
+from zswarm.kernels.lanes import LANES
 from zswarm.kernels.portable import PI
 from zswarm.sims.epuck import physics, reference_models, sensors
 from zswarm.sims.epuck.reference_models import DIRECTIONS, SENSOR_NAMES
@@ -94,6 +95,15 @@ def test_a_robot_hides_the_lamp_as_recorded() -> None:
         assert readings(made, LIGHT) == pytest.approx(row.numbers, abs=WITHIN)
 
 
+def test_a_wall_hides_a_lamp_behind_it_from_robots_close_to_it() -> None:
+    """The ray to the lamp is higher than the wall where it comes from farther away."""
+    made = world(mission="lcn")
+    place(made, 0, 0.0, 1.18, 0.0)
+    assert readings(made, LIGHT).max() == 0.0
+    place(made, 0, 0.0, 1.1, 0.0)
+    assert readings(made, LIGHT).max() > 0.5
+
+
 def test_ground_readings_are_as_recorded() -> None:
     """Except exactly on the line of a spot, where the last bit decides."""
     made = world()
@@ -168,7 +178,8 @@ def test_the_floor_is_as_recorded(mission: str) -> None:
         for column, grey in enumerate(greys):
             x, y = -1.25 + 0.025 * column, -1.25 + 0.025 * line
             if max(x * a + y * b for a, b in normals) < 1.22:
-                assert sensors.grey_at(made.floor, x, y) == FLOOR[grey], (x, y)
+                found = sensors.grey_at(made.floor, np.full(LANES, x), np.full(LANES, y))
+                assert (found == FLOOR[grey]).all(), (x, y)
                 compared += 1
     assert compared > 7_000
 

@@ -160,12 +160,12 @@ def describe(pair: Pair) -> str:
         better, worse, chance = pair.second, pair.first, 1.0 - pair.a12
     if pair.p_holm < LEVEL:
         return (
-            f"{better} is better than {worse}: a run of it wins with {100 * chance:.0f} % "
-            f"({effect(chance)} effect; {p_values(pair)})"
+            f"{better} is better than {worse}: A12 = {chance:.2f} ({effect(chance)} effect), "
+            f"{p_values(pair)}"
         )
     return (
-        f"no difference between {pair.first} and {pair.second} is shown: it may be chance, or more "
-        "runs are needed"
+        f"{pair.first} vs. {pair.second}: no significant difference ({p_values(pair)}); it may be "
+        "chance, or more runs are needed"
     )
 
 
@@ -232,8 +232,8 @@ def _notes(
         )
     if by == "generations" and max(spent) > UNEQUAL * min(spent):
         notes.append(
-            "groups took different numbers of evaluations; zswarm-ot compare --by evaluations "
-            "compares them after equally many"
+            "the groups used different numbers of evaluations; compare --by evaluations gives a "
+            "comparison at equal effort"
         )
     if any(np.isneginf(sample.best).any() for sample in samples.values()):
         notes.append("runs in which every candidate failed count as the worst")

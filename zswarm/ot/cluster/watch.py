@@ -24,8 +24,8 @@ REFUSALS = (
     RunEvent.SERVER_BANNED,
 )
 STARTING = "starting the slots of this machine"
-NOBODY_YET = "no slot is ready yet: waiting for one (Ctrl-C stops; nothing is lost)"
-NOBODY = "no server computes now: waiting for one (Ctrl-C stops; nothing is lost)"
+NOBODY_YET = "waiting for the first slot to be ready (Ctrl-C stops; nothing is lost)"
+NOBODY = "waiting for a server: none computes now (Ctrl-C stops; nothing is lost)"
 
 
 class Watch(msgspec.Struct, eq=False):
@@ -79,7 +79,7 @@ class Watch(msgspec.Struct, eq=False):
         silent = self._met or self.hinted.is_set() or options.servers == "local"
         if not silent and time.monotonic() >= self._begun + PAUSE_S:
             self.hinted.set()
-            alone = ": this machine's slots compute alone" if local is not None else ""
+            alone = "; using this machine's slots only" if local is not None else ""
             self.say(f"no server found in realm {options.realm}{alone}; {HINT}")
 
     def report(self, item: object, standing: Standing) -> bool:

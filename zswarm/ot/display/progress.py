@@ -171,8 +171,9 @@ def summary(result: Result) -> str:
     return (
         f"{best} {with_mean(result.best, result.trials)} "
         f"after {plural(result.generations, 'generation')}, "
-        f"{plural(result.evaluations, 'evaluation')} "
-        f"({plural(result.requeued, 'trial')} sent again), {duration(result.seconds)}\n"
+        f"{plural(result.evaluations, 'evaluation')}, "
+        f"{result.requeued:,} {'retry' if result.requeued == 1 else 'retries'}, "
+        f"{duration(result.seconds)}\n"
         f"{held_out(result.champion, result.trials)}"
         f"history {', '.join([*flaws(result), result.history_hash])}\n"
         f"run     {result.run}"

@@ -79,7 +79,9 @@ def lock_folder(folder: Path, what: str = "run") -> int:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             return lock
     os.close(lock)
-    raise ConfigError(f"{folder}: another zswarm-ot is at this {what}; stop it first")
+    raise ConfigError(
+        f"{folder}: this {what} is in use by another zswarm-ot process; stop that one first"
+    )
 
 
 def is_running(folder: Path) -> bool:

@@ -56,6 +56,11 @@ class Readings:
         """Return robots without a scan, or a pose, from that time on."""
         return [robot for robot in robots if not self._has_both(robot, due_ns)]
 
+    def behind_ns(self, robots: Iterable[int]) -> int:
+        """Return how much older than the clock robots' newest scans are at most; 0 without any."""
+        newest = [max(self._scans[each]) for each in robots if self._scans[each]]
+        return max([0, *(self.clock_ns - stamp_ns for stamp_ns in newest)])
+
     def fill(
         self, robots: Sequence[int], due_ns: int, scans: np.ndarray, poses: np.ndarray
     ) -> int:

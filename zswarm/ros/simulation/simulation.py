@@ -32,6 +32,7 @@ LISTEN_S = 0.2  # to a simulation that may be running, before a trial and after 
 FLOOD_S = 0.5  # spent at most on messages that come faster than they are taken
 LOOK_S = 0.2  # between checks of the node
 SOON = 0.75  # of a step: a scan so much later is the next, while the interval is unknown
+BEHIND = 5  # steps that scans are older than the clock, in a simulation that is too fast
 OFF = 0.1  # of a step, that the simulation's own steps may differ from it
 
 
@@ -201,12 +202,23 @@ class Simulation:
                 raise EvaluationError(
                     f"no scan and pose of robot {', '.join(map(str, missing))} "
                     f"at {due_ns / NS:g} s within {limit_s:g} s (deadline_s)"
+                    f"{self._behind(robots)}"
                 )
             if now > silent_at:
                 self.halt(robots)
                 silent_at = deadline
             self._take(max(0.0, min(deadline, silent_at) - now))
         self.stamp_ns = self._readings.fill(robots, due_ns, scans, poses)
+
+    def _behind(self, robots: Iterable[int]) -> str:
+        """Return words for scans that arrive late because the simulation is too fast."""
+        behind_ns = self._readings.behind_ns(robots)
+        if behind_ns < BEHIND * self._step_ns:
+            return ""
+        return (
+            f": scans arrive {behind_ns / NS:.2g} s of the simulation late, which is too fast "
+            "for this machine; slow it down, see docs/ros.md"
+        )
 
     def _wait_ns(self) -> int:
         """Return how much later than the last a scan is to be the next.

@@ -7,14 +7,16 @@ the equations.
 # mypy: disable-error-code=no-untyped-def
 # because numba infers the types of kernels.
 
+from zswarm.kernels.angles import are_near, turned
 from zswarm.kernels.jit import inline, sqrt
+from zswarm.kernels.lanes import LANES, any_of, load, select, store
 from zswarm.kernels.portable import cos, sin
-from zswarm.sims.epuck.contacts import (
+from zswarm.sims.epuck.contacts import FIRST, SECOND, find_contacts
+from zswarm.sims.epuck.impulses import (
     INERTIA,
     MOST_CHANGE,
     MOST_TURN,
     SUBSTEP_S,
-    find_contacts,
     solve,
 )
 from zswarm.sims.epuck.walls import first_near, is_near
@@ -54,10 +56,10 @@ def drive(world):
     for _ in range(SUBSTEPS):
         world.counts[SUBSTEP] += 1
         move(world)
-        contacts = find_contacts(world, pairs)
+        found, touching = find_contacts(world, pairs)
         pull_free(world)
-        if contacts > 0:
-            solve(world, contacts)
+        if found > 0:
+            solve(world, found, touching)
     turn(world)
 
 
@@ -65,22 +67,44 @@ def drive(world):
 def aim(world):
     """Set the target velocities of a step from commands; the heading at its start holds for it."""
     robots = world.robots
-    for robot in range(world.number):
-        left = robots[LEFT, robot]
-        right = robots[RIGHT, robot]
+    for at in range(0, robots.shape[1], LANES):
+        left = load(robots[LEFT], at)
+        right = load(robots[RIGHT], at)
         speed = (left + right) * 0.5
-        robots[TARGET_X, robot] = speed * robots[COSINE, robot]
-        robots[TARGET_Y, robot] = speed * robots[SINE, robot]
-        robots[TARGET_SPIN, robot] = (right - left) / WHEEL_DISTANCE
+        store(robots[TARGET_X], at, speed * load(robots[COSINE], at))
+        store(robots[TARGET_Y], at, speed * load(robots[SINE], at))
+        store(robots[TARGET_SPIN], at, (right - left) / WHEEL_DISTANCE)
 
 
 @inline(counts=False, inner=True)
 def turn(world):
     """Set the cosines and sines of all headings."""
     robots = world.robots
+    for at in range(0, robots.shape[1], LANES):
+        angles = load(robots[ANGLE], at)
+        if are_near(angles):
+            cosines, sines = turned(angles)
+            store(robots[COSINE], at, cosines)
+            store(robots[SINE], at, sines)
+        else:
+            for robot in range(at, at + LANES):
+                robots[COSINE, robot] = cos(robots[ANGLE, robot])
+                robots[SINE, robot] = sin(robots[ANGLE, robot])
+
+
+@inline(counts=False, inner=True)
+def farthest(world):
+    """Return how far any robot may come in this step."""
+    robots = world.robots
+    fastest = 0.0
     for robot in range(world.number):
-        robots[COSINE, robot] = cos(robots[ANGLE, robot])
-        robots[SINE, robot] = sin(robots[ANGLE, robot])
+        x = robots[SPEED_X, robot]
+        y = robots[SPEED_Y, robot]
+        fastest = max(fastest, x * x + y * y)
+        x = robots[TARGET_X, robot]
+        y = robots[TARGET_Y, robot]
+        fastest = max(fastest, x * x + y * y)
+    return REACH * SUBSTEPS * SUBSTEP_S * sqrt(fastest)
 
 
 @inline(counts=False, inner=True)
@@ -92,32 +116,32 @@ def list_pairs(world):
     """
     robots = world.robots
     number = world.number
-    bodies = number + world.walls.shape[0]
-    fastest = 0.0
-    for robot in range(number):
-        x = robots[SPEED_X, robot]
-        y = robots[SPEED_Y, robot]
-        fastest = max(fastest, x * x + y * y)
-        x = robots[TARGET_X, robot]
-        y = robots[TARGET_Y, robot]
-        fastest = max(fastest, x * x + y * y)
-    reach = REACH * SUBSTEPS * SUBSTEP_S * sqrt(fastest)  # of a robot in a step
-    apart = 2.0 * (RADIUS + reach)
+    reach = RADIUS + farthest(world)
+    square = 4.0 * reach * reach
+    last = robots.shape[1] - LANES
     found = 0
     for robot in range(number):
         x = robots[X, robot]
         y = robots[Y, robot]
-        first = first_near(world, x, y, RADIUS + reach)
-        for wall in range(bodies - number - 1, first - 1, -1):
-            if is_near(world.walls[wall], x, y, RADIUS + reach):
-                world.pairs[found] = robot * bodies + number + wall
+        first = first_near(world, x, y, reach)
+        for wall in range(world.walls.shape[0] - 1, first - 1, -1):
+            if is_near(world.walls[wall], x, y, reach):
+                world.pairs[found, FIRST] = robot
+                world.pairs[found, SECOND] = number + wall
                 found += 1
-        for other in range(number - 1, robot, -1):
-            dx = robots[X, other] - x
-            dy = robots[Y, other] - y
-            if dx * dx + dy * dy < apart * apart:
-                world.pairs[found] = robot * bodies + other
-                found += 1
+        for at in range(last, robot - LANES, -LANES):
+            dx = load(robots[X], at) - x
+            dy = load(robots[Y], at) - y
+            squares = dx * dx + dy * dy
+            if not any_of((squares < square) & (load(world.places, at) > float(robot))):
+                continue
+            for other in range(at + LANES - 1, max(at - 1, robot), -1):
+                dx = robots[X, other] - x
+                dy = robots[Y, other] - y
+                if dx * dx + dy * dy < square:
+                    world.pairs[found, FIRST] = robot
+                    world.pairs[found, SECOND] = other
+                    found += 1
     return found
 
 
@@ -125,31 +149,43 @@ def list_pairs(world):
 def move(world):
     """Move and turn all robots for a substep, with the velocities of the previous one."""
     robots = world.robots
-    for robot in range(world.number):
-        robots[X, robot] += robots[SPEED_X, robot] * SUBSTEP_S
-        robots[Y, robot] += robots[SPEED_Y, robot] * SUBSTEP_S
-        robots[ANGLE, robot] += robots[SPIN, robot] * SUBSTEP_S
+    for at in range(0, robots.shape[1], LANES):
+        go(robots[X], robots[SPEED_X], at)
+        go(robots[Y], robots[SPEED_Y], at)
+        go(robots[ANGLE], robots[SPIN], at)
+
+
+@inline(counts=False, inner=True)
+def go(places, speeds, at):
+    """Add what speeds do in a substep."""
+    store(places, at, load(places, at) + load(speeds, at) * SUBSTEP_S)
 
 
 @inline(counts=False, inner=True)
 def pull_free(world):
     """Let the motors of robots that nothing touches change their velocities."""
     robots = world.robots
-    for robot in range(world.number):
-        if robots[TOUCHES, robot] > 0.0:
-            continue
-        dx = robots[TARGET_X, robot] - robots[SPEED_X, robot]
-        dy = robots[TARGET_Y, robot] - robots[SPEED_Y, robot]
+    for at in range(0, robots.shape[1], LANES):
+        free = load(robots[TOUCHES], at) == 0.0
+        dx = load(robots[TARGET_X], at) - load(robots[SPEED_X], at)
+        dy = load(robots[TARGET_Y], at) - load(robots[SPEED_Y], at)
         square = dx * dx + dy * dy
-        if square > MOST_CHANGE * MOST_CHANGE:
-            part = MOST_CHANGE / sqrt(square)
-            dx *= part
-            dy *= part
-        robots[SPEED_X, robot] += dx
-        robots[SPEED_Y, robot] += dy
-        robots[PUSH_X, robot] = dx * MASS
-        robots[PUSH_Y, robot] = dy * MASS
-        change = robots[TARGET_SPIN, robot] - robots[SPIN, robot]
-        change = min(max(change, -MOST_TURN), MOST_TURN)
-        robots[SPIN, robot] += change
-        robots[PUSH_SPIN, robot] = change * INERTIA
+        over = square > MOST_CHANGE * MOST_CHANGE
+        if any_of(over):
+            part = select(over, MOST_CHANGE / sqrt(select(over, square, 1.0)), 1.0)
+            dx = dx * part
+            dy = dy * part
+        change = load(robots[TARGET_SPIN], at) - load(robots[SPIN], at)
+        change = select(change < -MOST_TURN, -MOST_TURN, change)
+        change = select(change > MOST_TURN, MOST_TURN, change)
+        change_if(free, robots[SPEED_X], robots[PUSH_X], at, dx, MASS)
+        change_if(free, robots[SPEED_Y], robots[PUSH_Y], at, dy, MASS)
+        change_if(free, robots[SPIN], robots[PUSH_SPIN], at, change, INERTIA)
+
+
+@inline(counts=False, inner=True)
+def change_if(which, speeds, impulses, at, change, inertia):
+    """Change the speeds of some robots, and write the impulses that it took."""
+    old = load(speeds, at)
+    store(speeds, at, select(which, old + change, old))
+    store(impulses, at, select(which, change * inertia, load(impulses, at)))

@@ -10,6 +10,7 @@ the equations, and what the implementations do beyond them.
 # because numba infers the types of kernels.
 
 from zswarm.kernels.jit import inline, sqrt
+from zswarm.kernels.lanes import LANES, fill, load, select, store
 from zswarm.kernels.portable import PI, exp
 from zswarm.kernels.random import draw_uniform
 from zswarm.sims.epuck.sensors import ANGLES_X, ANGLES_Y, SENSORS
@@ -56,112 +57,118 @@ SENSOR_NAMES[3] = (*SENSOR_NAMES[2], "chance")
 @inline(counts=False, inner=True, copied=False)
 def interpret(world, observations):
     """Write what the controllers of all robots see."""
-    for robot in range(world.number):
-        remember(world, robot)
+    for at in range(0, world.robots.shape[1], LANES):
+        remember(world, at)
         if world.model == 1:
-            see_1_1(world, robot, observations, len_1_1 * robot)
-        elif world.model == 2:
-            at = len_1_2 * robot
-            see_vectors(world, robot, observations, at)
-            observations[at + 8] = ground(world, robot, 0)
-            observations[at + 9] = crowd(world.robots[HEARD, robot])
+            see_1_1(world, at)
         else:
-            at = len_machine * robot
-            see_vectors(world, robot, observations, at)
-            observations[at + 8] = vote(world, robot)
-            observations[at + 9] = world.robots[HEARD, robot]
-            observations[at + 14] = draw_uniform(world.stream)
-
-
-len_1_1, len_1_2, len_machine = (len(SENSOR_NAMES[model]) for model in (1, 2, 3))
+            see_vectors(world, at)
+            store(world.seen[8], at, vote(world.memory, at))
+    inputs = world.seen.shape[0]
+    for robot in range(world.number):
+        first = inputs * robot
+        for number in range(inputs):
+            observations[first + number] = world.seen[number, robot]
+        if world.model == 1:
+            voted = world.seen[16, robot]
+            for table in range(3):
+                observations[first + 16 + table] = ground(world, voted, table)
+            observations[first + 19] = crowd(world.robots[HEARD, robot])
+        elif world.model == 2:
+            observations[first + 8] = ground(world, world.seen[8, robot], 0)
+            observations[first + 9] = crowd(world.robots[HEARD, robot])
+        else:
+            observations[first + 9] = world.robots[HEARD, robot]
+            observations[first + 14] = draw_uniform(world.stream)
 
 
 @inline(counts=False, inner=True)
-def remember(world, robot):
+def remember(world, at):
     """Store this step's messages and votes for the floor in place of the oldest."""
     robots = world.robots
     step = world.counts[STEP_NUMBER]
     slot = 2 * (step % MEMORY)
-    world.memory[robot, slot] = robots[HEARD_X, robot]
-    world.memory[robot, slot + 1] = robots[HEARD_Y, robot]
-    black = 0.0
-    white = 0.0
+    store(world.memory[slot], at, load(robots[HEARD_X], at))
+    store(world.memory[slot + 1], at, load(robots[HEARD_Y], at))
+    black = fill(0.0)
+    white = fill(0.0)
     for sensor in range(3):
-        reading = robots[GROUND + sensor, robot]
-        if reading < DARK_GROUND:
-            black += 1.0
-        elif reading > BRIGHT_GROUND:
-            white += 1.0
+        reading = load(robots[GROUND + sensor], at)
+        black = black + select(reading < DARK_GROUND, 1.0, 0.0)
+        white = white + select(reading > BRIGHT_GROUND, 1.0, 0.0)
     slot = FIRST_VOTE + 2 * (step % VOTES)
-    world.memory[robot, slot] = black
-    world.memory[robot, slot + 1] = white
+    store(world.memory[slot], at, black)
+    store(world.memory[slot + 1], at, white)
 
 
 @inline(counts=False, inner=True)
-def see_vectors(world, robot, observations, at):
+def see_vectors(world, at):
     """Write the vectors of model 1.2: proximity, light, and from 10 on attraction."""
     robots = world.robots
-    x = 0.0
-    y = 0.0
+    x = fill(0.0)
+    y = fill(0.0)
     for sensor in range(SENSORS):
-        x += robots[PROXIMITY + sensor, robot] * ANGLES_X[sensor]
-        y += robots[PROXIMITY + sensor, robot] * ANGLES_Y[sensor]
+        reading = load(robots[PROXIMITY + sensor], at)
+        x = x + reading * ANGLES_X[sensor]
+        y = y + reading * ANGLES_Y[sensor]
     length = sqrt(x * x + y * y)
-    project(x, y, 1.0 / length if length > 1.0 else 1.0, observations, at)
-    x = 0.0
-    y = 0.0
-    lit = False
+    factor = 1.0 / select(length > 1.0, length, 1.0)
+    project(world.seen, 0, at, x, y, factor)
+    x = fill(0.0)
+    y = fill(0.0)
+    most = fill(0.0)
     for sensor in range(SENSORS):
-        reading = robots[LIGHT + sensor, robot]
-        lit = lit or reading > BRIGHT
-        x += reading * ANGLES_X[sensor]
-        y += reading * ANGLES_Y[sensor]
+        reading = load(robots[LIGHT + sensor], at)
+        most = select(reading > most, reading, most)
+        x = x + reading * ANGLES_X[sensor]
+        y = y + reading * ANGLES_Y[sensor]
     length = sqrt(x * x + y * y)
-    project(x, y, 1.0 / length if lit and length > 0.0 else 0.0, observations, at + 4)
-    x, y = attraction(world, robot)
-    project(x, y, 1.0, observations, at + 10)
+    shines = (most > BRIGHT) & (length > 0.0)
+    factor = select(shines, 1.0 / select(shines, length, 1.0), 0.0)
+    project(world.seen, 4, at, x, y, factor)
+    x, y = attraction(world.memory, at)
+    project(world.seen, 10, at, x, y, fill(1.0))
 
 
 @inline(counts=False, inner=True)
-def see_1_1(world, robot, observations, at):
+def see_1_1(world, at):
     """Write 24 inputs: proximity and light readings, ground, neighbours, attraction."""
-    robots = world.robots
     for sensor in range(2 * SENSORS):
-        observations[at + sensor] = robots[PROXIMITY + sensor, robot]
-    for table in range(3):
-        observations[at + 16 + table] = ground(world, robot, table)
-    observations[at + 19] = crowd(robots[HEARD, robot])
-    x, y = attraction(world, robot)
+        store(world.seen[sensor], at, load(world.robots[PROXIMITY + sensor], at))
+    store(world.seen[16], at, vote(world.memory, at))
+    x, y = attraction(world.memory, at)
     length = sqrt(x * x + y * y)
-    rescaled = 2.0 / (1.0 + exp(-length)) - 1.0
-    project(x, y, rescaled / length if length > 0.0 else 0.0, observations, at + 20)
+    store(world.seen[20], at, length)
+    for robot in range(at, at + LANES):
+        length_here = world.seen[20, robot]
+        rescaled = 2.0 / (1.0 + exp(-length_here)) - 1.0
+        world.seen[21, robot] = rescaled / length_here if length_here > 0.0 else 0.0
+    project(world.seen, 20, at, x, y, load(world.seen[21], at))
 
 
 @inline(counts=False, inner=True)
-def project(x, y, factor, observations, at):
-    """Write the lengths of a vector in four directions, 0 instead of negative ones."""
+def project(seen, first, at, x, y, factor):
+    """Write the lengths of vectors in four directions, 0 instead of negative ones."""
     for direction in range(4):
         length = factor * (x * DIRECTIONS_X[direction] + y * DIRECTIONS_Y[direction])
-        observations[at + direction] = max(length, 0.0)
+        store(seen[first + direction], at, select(length > 0.0, length, 0.0))
 
 
 @inline(counts=False, inner=True)
-def vote(world, robot):
+def vote(memory, at):
     """Return 0 for black, 1 for white, 1/2 for grey, by the readings of the last steps."""
-    black = 0.0
-    white = 0.0
-    for slot in range(VOTES):
-        black += world.memory[robot, FIRST_VOTE + 2 * slot]
-        white += world.memory[robot, FIRST_VOTE + 2 * slot + 1]
-    if black > MAJORITY:
-        return 0.0
-    return 1.0 if white > MAJORITY else 0.5
+    black = fill(0.0)
+    white = fill(0.0)
+    for slot in range(FIRST_VOTE, FIRST_VOTE + 2 * VOTES, 2):
+        black = black + load(memory[slot], at)
+        white = white + load(memory[slot + 1], at)
+    other = select(white > float(MAJORITY), 1.0, fill(0.5))
+    return select(black > float(MAJORITY), 0.0, other)
 
 
 @inline(counts=False, inner=True)
-def ground(world, robot, table):
+def ground(world, voted, table):
     """Return 0 for black, 1 for white, and a recorded reading for grey."""
-    voted = vote(world, robot)
     if voted != 0.5:
         return voted
     at = draw_uniform(world.stream) * (world.greys.shape[1] - 1)
@@ -177,11 +184,11 @@ def crowd(heard):
 
 
 @inline(counts=False, inner=True)
-def attraction(world, robot):
-    """Return the sum of the vectors of all messages that the robot remembers."""
-    x = 0.0
-    y = 0.0
-    for slot in range(MEMORY):
-        x += world.memory[robot, 2 * slot]
-        y += world.memory[robot, 2 * slot + 1]
+def attraction(memory, at):
+    """Return the sums of the vectors of all messages that robots remember."""
+    x = fill(0.0)
+    y = fill(0.0)
+    for slot in range(0, 2 * MEMORY, 2):
+        x = x + load(memory[slot], at)
+        y = y + load(memory[slot + 1], at)
     return x, y

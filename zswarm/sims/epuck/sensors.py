@@ -10,11 +10,14 @@ nominal ones, which controllers use, for light.
 import numpy as np
 
 from zswarm.kernels.jit import inline, sqrt
+from zswarm.kernels.lanes import LANES, any_of, fill, floor, load, select, store
 from zswarm.kernels.portable import PI, atan2, exp
-from zswarm.kernels.random import draw_uniform
+from zswarm.kernels.random import draw_uniform, draw_uniforms, skip
 from zswarm.sims.epuck.walls import first_near, is_near, to_box
 from zswarm.sims.epuck.world import (
     ANGLE,
+    BEARING,
+    BRIGHTNESS,
     COSINE,
     DISC,
     GREY,
@@ -31,6 +34,7 @@ from zswarm.sims.epuck.world import (
     LIGHT_NOISE,
     LOSS,
     MIDDLE_GREY,
+    NOISY,
     PLACE_X,
     PLACE_Y,
     PROXIMITY,
@@ -59,6 +63,7 @@ ANGLES = np.array([PI / float(np.float32(divisor)) for divisor in DIVISORS])
 ANGLES_X, ANGLES_Y = unit_vectors(ANGLES.tolist())
 FARTHEST = 2.5  # distance / intensity at which a lamp is seen
 DECAY = 2.0  # of light, per distance / intensity
+WALL_Z = 0.08  # height of the highest wall
 GROUND_AHEAD, GROUND_ASIDE = 0.03, 0.009  # of the centre
 
 
@@ -67,12 +72,25 @@ def sense(world):
     """Write the readings of all robots."""
     robots = world.robots
     for row in range(PROXIMITY, HEARD_Y + 1):
-        robots[row] = 0.0
+        for at in range(0, robots.shape[1], LANES):
+            store(robots[row], at, fill(0.0))
     meet(world)
+    draw_uniforms(world.stream, world.noise, NOISY)
+    skip(world.stream, NOISY * world.number)
     for robot in range(world.number):
         see_walls(world, robot)
-        see_lamp(world, robot)
-        see_floor(world, robot)
+    for row in range(SENSORS):
+        disturb(world, PROXIMITY + row, row, PROXIMITY_NOISE)
+    if world.constants[INTENSITY] > 0.0:
+        for robot in range(world.number):
+            see_lamp(world, robot)
+        for sensor in range(SENSORS):
+            light(world, sensor)
+    for row in range(SENSORS):
+        disturb(world, LIGHT + row, SENSORS + row, LIGHT_NOISE)
+    for sensor in range(3):
+        see_floor(world, sensor)
+        disturb(world, GROUND + sensor, 2 * SENSORS + sensor, GROUND_NOISE)
 
 
 @inline(counts=False, inner=True)
@@ -83,25 +101,40 @@ def meet(world):
     hearing = world.hearing
     reach = max(near, hearing)
     for robot in range(world.number):
-        for other in range(robot + 1, world.number):
-            dx = robots[X, other] - robots[X, robot]
-            dy = robots[Y, other] - robots[Y, robot]
-            square = dx * dx + dy * dy
-            if square >= reach * reach:
-                continue
-            if square < near * near:
-                see_robot(robots, robot, dx, dy)
-                see_robot(robots, other, -dx, -dy)
-            if square < hearing * hearing:
-                lost = world.constants[LOSS]
-                hears = draw_uniform(world.stream) >= lost
-                is_heard = draw_uniform(world.stream) >= lost
-                if (hears or is_heard) and not hidden(world, robot, other, dx, dy):
-                    distance = sqrt(square)
-                    if hears:
-                        hear(robots, robot, dx, dy, distance)
-                    if is_heard:
-                        hear(robots, other, -dx, -dy, distance)
+        x = robots[X, robot]
+        y = robots[Y, robot]
+        first = robot + 1
+        for at in range(first // LANES * LANES, robots.shape[1], LANES):
+            dx = load(robots[X], at) - x
+            dy = load(robots[Y], at) - y
+            squares = dx * dx + dy * dy
+            if any_of(
+                (squares < reach * reach) & (load(world.places, at) > float(robot))
+            ):
+                for other in range(max(first, at), min(at + LANES, world.number)):
+                    meet_one(world, robot, other, near * near)
+
+
+@inline(counts=False, inner=True)
+def meet_one(world, robot, other, near):
+    """Let two robots sense each other's bodies, and receive each other's messages."""
+    robots = world.robots
+    dx = robots[X, other] - robots[X, robot]
+    dy = robots[Y, other] - robots[Y, robot]
+    square = dx * dx + dy * dy
+    if square < near:
+        see_robot(robots, robot, dx, dy)
+        see_robot(robots, other, -dx, -dy)
+    if square < world.hearing * world.hearing:
+        lost = world.constants[LOSS]
+        hears = draw_uniform(world.stream) >= lost
+        is_heard = draw_uniform(world.stream) >= lost
+        if (hears or is_heard) and not hidden(world, robot, other, dx, dy):
+            distance = sqrt(square)
+            if hears:
+                hear(robots, robot, dx, dy, distance)
+            if is_heard:
+                hear(robots, other, -dx, -dy, distance)
 
 
 @inline(counts=False, inner=True)
@@ -128,17 +161,17 @@ def hidden(world, robot, other, dx, dy):
     x = robots[X, robot]
     y = robots[Y, robot]
     square = dx * dx + dy * dy
-    for third in range(world.number):
-        if third in (robot, other):
-            continue
-        third_x = robots[X, third] - x
-        third_y = robots[Y, third] - y
+    for at in range(0, robots.shape[1], LANES):
+        third_x = load(robots[X], at) - x
+        third_y = load(robots[Y], at) - y
         along = third_x * dx + third_y * dy
         across = third_y * dx - third_x * dy
         chord = RADIUS * RADIUS * square - across * across
-        if chord > 0.0:
-            crossing = along - sqrt(chord * square)
-            if 0.0 <= crossing < square:
+        may = (chord > 0.0) & (along > 0.0) & (along < square + square)
+        may = may & (load(world.places, at) != float(other))
+        if any_of(may):
+            crossing = along - sqrt(select(may, chord, 0.0) * square)
+            if any_of(may & (crossing >= 0.0) & (crossing < square)):
                 return True
     for wall in range(world.outer_walls, world.walls.shape[0]):
         if to_box(world.walls[wall], x, y, dx, dy) < 1.0:
@@ -161,58 +194,72 @@ def hear(robots, robot, dx, dy, distance):
 
 @inline(counts=False, inner=True)
 def see_walls(world, robot):
-    """Raise the proximity readings whose rays hit walls; add noise to all."""
+    """Raise the proximity readings whose rays hit walls."""
     robots = world.robots
+    x = robots[X, robot]
+    y = robots[Y, robot]
+    for wall in range(first_near(world, x, y, RING + RAY), world.walls.shape[0]):
+        box = world.walls[wall]
+        if is_near(box, x, y, RING + RAY):
+            see_wall(robots, robot, box)
+
+
+@inline(counts=False, inner=True)
+def see_wall(robots, robot, box):
+    """Raise the proximity readings whose rays hit a wall."""
     x = robots[X, robot]
     y = robots[Y, robot]
     cosine = robots[COSINE, robot]
     sine = robots[SINE, robot]
-    for wall in range(first_near(world, x, y, RING + RAY), world.walls.shape[0]):
-        box = world.walls[wall]
-        if not is_near(box, x, y, RING + RAY):
-            continue
-        for sensor in range(SENSORS):
-            ray_x = RAY_X[sensor] * cosine - RAY_Y[sensor] * sine
-            ray_y = RAY_X[sensor] * sine + RAY_Y[sensor] * cosine
-            part = to_box(
-                box, x + RING * ray_x, y + RING * ray_y, RAY * ray_x, RAY * ray_y
-            )
-            if part < 1.0:
-                distance = part * RAY
-                value = (SQUARE * distance + LINEAR) * distance + CONSTANT
-                row = PROXIMITY + sensor
-                robots[row, robot] = max(robots[row, robot], min(value, 1.0))
     for sensor in range(SENSORS):
-        disturb(world, PROXIMITY + sensor, robot, PROXIMITY_NOISE)
+        ray_x = RAY_X[sensor] * cosine - RAY_Y[sensor] * sine
+        ray_y = RAY_X[sensor] * sine + RAY_Y[sensor] * cosine
+        part = to_box(box, x + RING * ray_x, y + RING * ray_y, RAY * ray_x, RAY * ray_y)
+        if part < 1.0:
+            distance = part * RAY
+            value = (SQUARE * distance + LINEAR) * distance + CONSTANT
+            row = PROXIMITY + sensor
+            robots[row, robot] = max(robots[row, robot], min(value, 1.0))
 
 
 @inline(counts=False, inner=True)
-def disturb(world, row, robot, kind):
-    """Add uniform noise to a reading, and limit it to 0..1."""
+def disturb(world, row, noise, kind):
+    """Add uniform noise to a reading of all robots, and limit it to 0..1."""
     most = world.constants[kind]
-    value = world.robots[row, robot] + most * (2.0 * draw_uniform(world.stream) - 1.0)
-    world.robots[row, robot] = min(max(value, 0.0), 1.0)
+    readings = world.robots[row]
+    for at in range(0, readings.shape[0], LANES):
+        value = load(readings, at) + most * (2.0 * load(world.noise[noise], at) - 1.0)
+        value = select(value > 0.0, value, 0.0)
+        store(readings, at, select(value < 1.0, value, 1.0))
 
 
 @inline(counts=False, inner=True)
 def see_lamp(world, robot):
-    """Write the light readings."""
+    """Write the brightness of the lamp, and its bearing."""
     robots = world.robots
     lamp = world.constants
     dx = lamp[LAMP_X] - robots[X, robot]
     dy = lamp[LAMP_Y] - robots[Y, robot]
     square = dx * dx + dy * dy
-    if lamp[INTENSITY] > 0.0 and not dimmed(world, robot, dx, dy, sqrt(square)):
+    robots[BRIGHTNESS, robot] = 0.0
+    robots[BEARING, robot] = 0.0
+    if not dimmed(world, robot, dx, dy, sqrt(square)):
         distance = sqrt(square + lamp[LAMP_Z] * lamp[LAMP_Z]) / lamp[INTENSITY]
-        brightness = exp(-DECAY * distance) if distance <= FARTHEST else 0.0
-        bearing = atan2(dy, dx) - robots[ANGLE, robot]
-        for sensor in range(SENSORS):
-            off = (bearing - ANGLES[sensor]) / (2.0 * PI)
-            off = abs(off - np.floor(off + 0.5)) * (2.0 * PI)
-            if off < 0.5 * PI:
-                robots[LIGHT + sensor, robot] = brightness * (1.0 - 2.0 * off / PI)
-    for sensor in range(SENSORS):
-        disturb(world, LIGHT + sensor, robot, LIGHT_NOISE)
+        if distance <= FARTHEST:
+            robots[BRIGHTNESS, robot] = exp(-DECAY * distance)
+        robots[BEARING, robot] = atan2(dy, dx) - robots[ANGLE, robot]
+
+
+@inline(counts=False, inner=True)
+def light(world, sensor):
+    """Write the light reading of a sensor of all robots."""
+    robots = world.robots
+    for at in range(0, robots.shape[1], LANES):
+        off = (load(robots[BEARING], at) - ANGLES[sensor]) / (2.0 * PI)
+        off = off - floor(off + 0.5)
+        off = select(off < 0.0, 0.0 - off, off) * (2.0 * PI)
+        value = load(robots[BRIGHTNESS], at) * (1.0 - 2.0 * off / PI)
+        store(robots[LIGHT + sensor], at, select(off < 0.5 * PI, value, 0.0))
 
 
 @inline(counts=False, inner=True)
@@ -224,21 +271,24 @@ def dimmed(world, robot, dx, dy, distance):
     # Where the ray is as high as a robot; it is higher from there on.
     farthest = distance * ROBOT_HEIGHT / world.constants[LAMP_Z]
     reach = farthest + RADIUS
-    for other in range(world.number):
-        if other == robot:
-            continue
-        other_x = robots[X, other] - x
-        other_y = robots[Y, other] - y
-        if other_x * other_x + other_y * other_y > reach * reach:
-            continue
-        along = (other_x * dx + other_y * dy) / distance
-        across = (other_y * dx - other_x * dy) / distance
-        chord = RADIUS * RADIUS - across * across
-        if chord > 0.0:
-            crossing = along - sqrt(chord)
-            if 0.0 <= crossing <= farthest:
+    for at in range(0, robots.shape[1], LANES):
+        other_x = load(robots[X], at) - x
+        other_y = load(robots[Y], at) - y
+        near = other_x * other_x + other_y * other_y <= reach * reach
+        near = near & (load(world.places, at) != float(robot))
+        if any_of(near):
+            along = (other_x * dx + other_y * dy) / distance
+            across = (other_y * dx - other_x * dy) / distance
+            chord = RADIUS * RADIUS - across * across
+            near = near & (chord > 0.0)
+            crossing = along - sqrt(select(near, chord, 0.0))
+            if any_of(near & (crossing >= 0.0) & (crossing <= farthest)):
                 return True
-    for wall in range(world.outer_walls, world.walls.shape[0]):
+    # Where the ray is as high as a wall; the lamp may be outside of the outer walls.
+    low = WALL_Z / world.constants[LAMP_Z]
+    for wall in range(
+        first_near(world, x + low * dx, y + low * dy, 0.0), len(world.walls)
+    ):
         part = to_box(world.walls[wall], x, y, dx, dy)
         if part * world.constants[LAMP_Z] <= world.walls[wall][WALL_HEIGHT]:
             return True
@@ -246,29 +296,33 @@ def dimmed(world, robot, dx, dy, distance):
 
 
 @inline(counts=False, inner=True)
-def see_floor(world, robot):
-    """Write the ground readings: right, centre and left."""
+def see_floor(world, sensor):
+    """Write a ground reading of all robots: right, centre or left."""
     robots = world.robots
-    cosine = robots[COSINE, robot]
-    sine = robots[SINE, robot]
-    for sensor in range(3):
-        aside = GROUND_ASIDE * (sensor - 1)
-        x = robots[X, robot] + GROUND_AHEAD * cosine - aside * sine
-        y = robots[Y, robot] + GROUND_AHEAD * sine + aside * cosine
-        robots[GROUND + sensor, robot] = grey_at(world.floor, x, y)
-        disturb(world, GROUND + sensor, robot, GROUND_NOISE)
+    aside = GROUND_ASIDE * (sensor - 1)
+    for at in range(0, robots.shape[1], LANES):
+        cosine = load(robots[COSINE], at)
+        sine = load(robots[SINE], at)
+        x = load(robots[X], at) + GROUND_AHEAD * cosine - aside * sine
+        y = load(robots[Y], at) + GROUND_AHEAD * sine + aside * cosine
+        store(robots[GROUND + sensor], at, grey_at(world.floor, x, y))
 
 
 @inline(counts=False, inner=True)
 def grey_at(floor, x, y):
-    """Return the grey of the floor at a point, from 0, black, to 1, white."""
-    for place in range(floor.shape[0]):
-        dx = x - floor[place, PLACE_X]
-        dy = y - floor[place, PLACE_Y]
-        if floor[place, SHAPE] == DISC:
-            inside = dx * dx + dy * dy <= floor[place, SIZE_X] * floor[place, SIZE_X]
-        else:
-            inside = abs(dx) < floor[place, SIZE_X] and abs(dy) < floor[place, SIZE_Y]
-        if inside:
-            return floor[place, GREY]
-    return MIDDLE_GREY
+    """Return the grey of the floor at lanes of points, from 0, black, to 1, white."""
+    grey = fill(MIDDLE_GREY)
+    for place in range(floor.shape[0] - 1, -1, -1):
+        grey = select(contains(floor[place], x, y), floor[place, GREY], grey)
+    return grey
+
+
+@inline(counts=False, inner=True)
+def contains(place, x, y):
+    """Return whether a disc or rectangle of the floor contains lanes of points."""
+    dx = x - place[PLACE_X]
+    dy = y - place[PLACE_Y]
+    if place[SHAPE] == DISC:
+        return dx * dx + dy * dy <= place[SIZE_X] * place[SIZE_X]
+    wide = (dx < place[SIZE_X]) & (dx > -place[SIZE_X])
+    return wide & (dy < place[SIZE_Y]) & (dy > -place[SIZE_Y])

@@ -5,20 +5,26 @@ from typing import Annotated, Literal
 import numpy as np
 
 from zswarm.config.meta import PartSettings, about, within
+from zswarm.kernels.lanes import LANES
 from zswarm.sims.epuck import generated, missions, trial
 from zswarm.sims.epuck.arenas import wall_rows
-from zswarm.sims.epuck.contacts import CONTACT_COLUMNS
+from zswarm.sims.epuck.contacts import CONTACT_COLUMNS, LINK_COLUMNS
 from zswarm.sims.epuck.grey_readings import GREYS
+from zswarm.sims.epuck.impulses import BODY_COLUMNS
 from zswarm.sims.epuck.missions import MISSIONS
 from zswarm.sims.epuck.reference_models import SENSOR_NAMES
 from zswarm.sims.epuck.world import (
     ANGLE,
     BLACK,
     CARRIES,
+    CHANGE_ROWS,
     COUNTS,
     DISC,
+    FAR_AWAY,
     IMPULSE_COLUMNS,
-    MEMORY_COLUMNS,
+    LISTS,
+    MEMORY_ROWS,
+    NOISY,
     RADIUS,
     ROBOT_ROWS,
     STEP_S,
@@ -121,6 +127,9 @@ class Epuck(Teams):
         arena = mission.arena
         walls = wall_rows(arena.outer + mission.walls)
         pairs = number * (number + len(walls))
+        lanes = -(-number // LANES) * LANES
+        robots = np.zeros((ROBOT_ROWS, lanes))
+        robots[[X, Y], number:] = FAR_AWAY
         seconds = settings.seconds or mission.seconds
         self.world = EpuckWorld(
             mission=missions.SCORES.index(mission.score or settings.mission),
@@ -140,12 +149,18 @@ class Epuck(Teams):
             walls=walls,
             floor=np.array(mission.floor, np.float64).reshape(-1, 6),
             greys=GREYS,
-            robots=np.zeros((ROBOT_ROWS, number)),
-            memory=np.zeros((number, MEMORY_COLUMNS)),
-            pairs=np.zeros(pairs, np.int64),
+            places=np.arange(lanes, dtype=np.float64),
+            robots=robots,
+            memory=np.zeros((MEMORY_ROWS, lanes)),
+            noise=np.zeros((NOISY, lanes)),
+            seen=np.zeros((self.inputs, lanes)),
+            pairs=np.zeros((pairs, 2), np.int64),
             contacts=np.zeros((pairs + 1, CONTACT_COLUMNS)),
+            links=np.zeros((pairs, LINK_COLUMNS), np.int64),
+            bodies=np.zeros((number, BODY_COLUMNS)),
             impulses=np.zeros((pairs, IMPULSE_COLUMNS)),
-            groups=np.zeros(2 * number + pairs, np.int64),
+            lists=np.zeros((LISTS, pairs), np.int64),
+            changes=np.zeros((CHANGE_ROWS, number)),
             tally=np.zeros(missions.FIRST_CELL + missions.CELLS**2),
             counts=np.zeros(COUNTS, np.int64),
             stream=np.zeros(1, np.uint64),

@@ -42,7 +42,7 @@ def start(world, seed):
     world.counts[:] = 0
     world.counts[STEP_NUMBER] = 1
     world.tally[:] = 0.0
-    world.robots[:] = 0.0
+    world.robots[:, : world.number] = 0.0
     world.memory[:] = 0.0
     world.impulses[:] = LONG_AGO
     robots = world.robots

@@ -11,7 +11,13 @@ import numpy as np
 
 from zswarm.kernels.jit import interpreted
 from zswarm.kernels.portable import cos, sin
-from zswarm.kernels.signatures import Float64Rows, Float64s, Int64s, UInt64s
+from zswarm.kernels.signatures import (
+    Float64Rows,
+    Float64s,
+    Int64Rows,
+    Int64s,
+    UInt64s,
+)
 
 STEP_S = 0.1  # a controller decides once in each
 RADIUS = float(np.float32(0.035))
@@ -33,10 +39,10 @@ HEARD, HEARD_X, HEARD_Y = range(
     35, 38
 )  # messages of this step, and the sum of their vectors
 CARRIES, TOUCHES = range(38, 40)
-# Of the group of robots that has a robot's number, the largest changes of impulses: in the last
-# iteration, and so far in this one.
-CHANGE, CHANGES = range(40, 42)
+BRIGHTNESS, BEARING = range(40, 42)  # of the lamp
 ROBOT_ROWS = 42
+FAR_AWAY = 1e6  # m, where spare lanes are
+NOISY = 19  # readings of a robot with noise: proximity, light, ground
 
 # ``walls``: boxes, a row for each.
 CENTRE_X, CENTRE_Y, WALL_COSINE, WALL_SINE, HALF_LENGTH, HALF_WIDTH, WALL_HEIGHT = range(
@@ -58,13 +64,21 @@ LAMP_X, LAMP_Y, LAMP_Z, INTENSITY = range(5, 9)
 STEP_NUMBER, SUBSTEP = range(2)
 COUNTS = 2
 
-# ``memory``: of a robot, sums of the vectors of messages by step, then black and white readings.
+# ``memory``: sums of the vectors of messages by step, then black and white readings.
 MEMORY = 11  # steps for which a robot remembers messages
 VOTES = 5  # steps for which it remembers the floor
-FIRST_VOTE, MEMORY_COLUMNS = 2 * MEMORY, 2 * (MEMORY + VOTES)
+FIRST_VOTE, MEMORY_ROWS = 2 * MEMORY, 2 * (MEMORY + VOTES)
 
 # ``impulses``: of a pair, along and across the normal, and the last substep in which it touched.
 ALONG, ACROSS, TOUCHED, IMPULSE_COLUMNS = range(4)
+
+# ``lists``: robots that touch something, and those that still change; for each robot the one that
+# stands for its group, the level of its next contact, and the number of its group; for each contact
+# its level, and its place by levels; where levels start.
+TOUCHING, ACTIVE, LEADER, LEVEL, GROUPS, LEVELS, ORDER, LEVEL_STARTS, LISTS = range(9)
+
+# ``changes``: the largest of the impulses of a group, in the last iteration and so far in this.
+BEFORE, NOW, CHANGE_ROWS = range(3)
 
 
 class EpuckWorld(NamedTuple):
@@ -89,13 +103,18 @@ class EpuckWorld(NamedTuple):
     walls: Float64Rows
     floor: Float64Rows
     greys: Float64Rows  # (3, quantiles) recorded readings of a grey floor
-    robots: Float64Rows  # (ROBOT_ROWS, robots)
-    memory: Float64Rows  # (robots, MEMORY_COLUMNS)
-    pairs: Int64s  # that may touch in this step: robot * (robots + walls) + robot or wall
+    places: Float64s  # the numbers 0, 1, 2 and so on, for each robot and spare lane
+    robots: Float64Rows  # (ROBOT_ROWS, robots and spare lanes, which are far away)
+    memory: Float64Rows  # (MEMORY_ROWS, robots and spare lanes)
+    noise: Float64Rows  # (NOISY, robots and spare lanes), random numbers of this step
+    seen: Float64Rows  # (sensors, robots and spare lanes), what controllers see
+    pairs: Int64Rows  # robot, and robot or wall, that may touch in this step
     contacts: Float64Rows  # that touch in this substep, see ``contacts``
+    links: Int64Rows  # the robots and groups of these contacts
+    bodies: Float64Rows  # the robots that touch something, see ``impulses``
     impulses: Float64Rows  # (pairs, IMPULSE_COLUMNS)
-    # The first robot of those that touch each other, for each; the robots and contacts of a group.
-    groups: Int64s
+    lists: Int64Rows  # (LISTS, pairs)
+    changes: Float64Rows  # (CHANGE_ROWS, robots)
     tally: Float64s  # the score; the counters of grid exploration
     counts: Int64s
     stream: UInt64s

@@ -24,14 +24,13 @@ from typing import Protocol
 
 import msgspec
 import numpy as np
-import structlog
 
 from zswarm.ss.slots.events import Died, PlayProbe, PrepareSlot, RunChunk
 from zswarm.ss.workers import child, memory
 from zswarm.ss.workers.child import FromSlot, Here, SharedMemory, encode, from_slot
 from zswarm.ss.workers.frames import BrokenFrameError, ServerEnd, new_key, new_pipe
 from zswarm.ss.workers.output import Output
-from zswarm.system import shared_memory
+from zswarm.system import log, shared_memory
 from zswarm.system.processes import exit_reason
 from zswarm.system.text import clean
 
@@ -44,7 +43,6 @@ EXIT_S = 1.0  # for the fork server to report how a process ended
 CUT_OFF = "closed its pipe"  # how it ended if a simulator did that
 
 _context = multiprocessing.get_context("forkserver")
-log = structlog.get_logger()
 
 
 def start_fork_server() -> None:

@@ -36,7 +36,8 @@ export class Chart {
     new ResizeObserver(() => this.redraw()).observe(this.element);
   }
 
-  // Each: name, x, y, or low and high (a band); maybe steps, thin, dash, and ink (a CSS property).
+  // Each: name, x, y, or low and high (a band); maybe steps, thin, dash, ink (a CSS
+  // property), and unnamed: the legend leaves it out.
   set(series, changes = {}) {
     Object.assign(this.options, changes);
     this.series = series.map((one, i) => ({
@@ -48,7 +49,7 @@ export class Chart {
   }
 
   showLegend() {
-    fill(this.legend, ...this.series.map((one) => {
+    fill(this.legend, ...this.series.filter((one) => !one.unnamed).map((one) => {
       const sample = s('svg', { class: 'sample', 'aria-hidden': 'true' },
         drawn(one, one.y ? 'M0 6H28' : 'M0 1H28V11H0Z'));
       const key = h('button', { type: 'button', class: 'key', 'aria-pressed': 'true' },
@@ -94,7 +95,8 @@ export class Chart {
     const [left, right, low, high] = this.range();
     const wide = width - LEFT - RIGHT, tall = height - TOP - BOTTOM;
     this.toX = (x) => (x - left) / (right - left) * wide;
-    this.toY = (y) => TOP + (high - y) / (high - low) * tall;
+    const bend = this.options.log ? Math.asinh : (y) => y, [from, to] = [bend(low), bend(high)];
+    this.toY = (y) => TOP + (to - bend(y)) / (to - from) * tall;
     this.toValue = (at) => left + at / wide * (right - left);
     this.svg.setAttribute('viewBox', `0 0 ${width} ${height}`);
     this.plot.setAttribute('width', wide);
@@ -108,7 +110,8 @@ export class Chart {
 
   drawAxes(low, high, left, right, width, height) {
     const { time, xLabel } = this.options, bottom = height - BOTTOM, parts = [];
-    for (const tick of ticks(low, high, height / 55)) {
+    const rows = height / 55;
+    for (const tick of this.options.log ? this.powers(low, high) : ticks(low, high, rows)) {
       const y = Math.round(this.toY(tick)) + 0.5;
       parts.push(s('path', { d: `M${LEFT} ${y}H${width - RIGHT}` }),
         s('text', { x: LEFT - 7, y: y + 4, 'text-anchor': 'end', text: number(tick, 4) }));
@@ -122,6 +125,17 @@ export class Chart {
     }
     fill(this.axes, ...parts, s('text', {
       x: (LEFT + width) / 2, y: height - 4, 'text-anchor': 'middle', text: xLabel }));
+  }
+
+  // Return 0 and powers of ten of both signs, as far as their labels have room.
+  powers(low, high) {
+    const all = Array.from({ length: 31 }, (_, i) => 10 ** i);
+    const found = [0, ...all, ...all.map((one) => -one)].filter((y) => y >= low && y <= high);
+    const kept = [];
+    for (const y of found.sort((a, b) => Math.abs(b) - Math.abs(a))) {
+      if (kept.every((other) => Math.abs(this.toY(other) - this.toY(y)) > 16)) kept.push(y);
+    }
+    return kept.length > 1 ? kept : ticks(low, high, 4);
   }
 
   line({ x, y, steps }) {

@@ -28,7 +28,7 @@ export function tr(...cells) {
 export class SortedTable {
   // heads: [text, key or '', class]; order: [key, 1 or -1]; make(row): its element; empty: a text
   constructor(name, heads, order, make, empty) {
-    Object.assign(this, { order, make, empty, rows: [], made: new WeakMap(), body: h('tbody') });
+    Object.assign(this, { order, make, empty, rows: [], found: [], made: new WeakMap(), body: h('tbody') });
     this.count = h('p', { class: 'dim small' });
     this.filter = h('input', {
       type: 'search', placeholder: 'filter', 'aria-label': `Filter ${name}`,
@@ -53,6 +53,7 @@ export class SortedTable {
     const [key, direction] = this.order, words = this.filter.value.toLowerCase();
     const found = rows.filter((row) => Object.values(row).some((value) => (
       typeof value === 'string' && value.toLowerCase().includes(words))));
+    this.found = found;
     found.sort((a, b) => compare(a[key], b[key], direction) || compare(a.id, b.id, 1));
     const shown = found.slice(0, MOST_ROWS).map((row) => {
       if (!this.made.has(row)) this.made.set(row, this.make(row));

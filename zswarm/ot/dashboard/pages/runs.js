@@ -33,10 +33,16 @@ class RunsPage {
     this.runs = new Map();
     this.curves = new Map(); // by id: columns, and when they were requested
     this.settings = new Map(); // by id: those that the history depends on
+    const linked = new URLSearchParams(location.search); // a link that reproduces the selection
+    if (linked.has('runs')) {
+      sessionStorage.setItem(CHOSEN, JSON.stringify(linked.get('runs').split(' ').filter(Boolean)));
+    }
     this.chosen = new Set(JSON.parse(sessionStorage.getItem(CHOSEN) ?? '[]'));
-    this.shown = { what: 'best', axis: 'generation', grouped: 'each' };
-    this.chart = new Chart({ label: 'Fitness of the chosen runs', height: 320,
-      hint: 'drag to zoom, arrows to read' });
+    this.shown = { what: 'best', axis: 'generation', grouped: 'each', scale: 'linear' };
+    for (const key of Object.keys(this.shown)) this.shown[key] = linked.get(key) ?? this.shown[key];
+    this.charts = new Map(); // by simulator: fitness of different problems does not compare
+    this.figures = h('div');
+    this.studies = h('div', { class: 'row' });
     this.table = new SortedTable('runs', HEADS, ['at', -1], (run) => this.runRow(run),
       'no run yet: start one with zswarm-ot run, and it appears here');
     this.left = h('p', { class: 'why', 'aria-live': 'polite' });
@@ -44,12 +50,55 @@ class RunsPage {
     this.differences = h('details', { hidden: true, ontoggle: () => this.compare() },
       h('summary', { text: 'what differs' }), this.compared);
     fill(view, h('h1', { text: 'Runs' }), this.buildCurves(), card('All runs',
-      between(this.table.filter, this.table.count), this.table.element));
+      between(row(this.table.filter, button('tick shown', () => this.tick(this.table.found)),
+        button('none', () => this.choose([], false))), this.table.count),
+      this.studies, this.table.element));
+  }
+
+  tick(runs) {
+    this.choose(runs.filter((run) => !run.error).map((run) => run.id), true);
+  }
+
+  // Offer each study as a group: a click draws its runs alone.
+  showStudies(rows) {
+    const studies = new Map();
+    for (const run of rows) {
+      if (run.study && !run.error) {
+        studies.set(run.study, [...(studies.get(run.study) ?? []), run.id]);
+      }
+    }
+    const names = [...studies].map(([study, ids]) => `${study} ${ids.length}`).join();
+    if (names === this.offered) return;
+    this.offered = names;
+    fill(this.studies, ...[...studies.keys()].sort().map((study) => button(
+      `${study.replaceAll('~', '/')} (${studies.get(study).length})`,
+      () => this.choose(studies.get(study), false), { class: 'small',
+        title: 'draw the runs of this study alone' })));
+  }
+
+  // Return the chart of a simulator, which is made when it is first needed.
+  chartOf(simulator) {
+    if (!this.charts.has(simulator)) {
+      const chart = new Chart({ label: `Fitness of the chosen runs: ${simulator}`, height: 320,
+        hint: 'drag to zoom, arrows to read' });
+      const heading = h('h2', { class: 'problem', text: simulator });
+      const figure = h('div', {}, heading, chart.element);
+      this.figures.append(figure);
+      this.charts.set(simulator, { chart, heading, figure });
+    }
+    return this.charts.get(simulator);
+  }
+
+  async png() {
+    for (const [simulator, { chart, figure }] of this.charts) {
+      if (!figure.hidden) await chart.png(`runs-${simulator}.png`);
+    }
   }
 
   buildCurves() {
     const choose = (label, name, options) => choice(label, options, this.shown[name], (value) => {
       this.shown[name] = value;
+      this.link();
       this.load();
     });
     return h('section', { class: 'card', 'aria-label': 'Curves' },
@@ -57,20 +106,27 @@ class RunsPage {
         row(choose('Fitness', 'what', [['best', 'best'], ['mean', 'mean']]),
           choose('Along', 'axis', [['generation', 'generations'], ['evaluations', 'evaluations'],
             ['time', 'wall time']]),
+          choose('Axis', 'scale', [['linear', 'linear'], ['log', 'logarithmic']]),
           choose('Runs', 'grouped', [['each', 'each run'], ['together', 'median and quartiles']])),
-        row(button('none', () => this.choose([], false)),
-          button('PNG', () => this.chart.png('runs.png')))),
-      this.chart.element, this.left, this.differences);
+        row(button('PNG', () => this.png()))),
+      this.figures, this.left, this.differences);
   }
 
   // Draw runs, or none but these.
   choose(ids, more) {
     this.chosen = new Set([...(more ? this.chosen : []), ...ids]);
     sessionStorage.setItem(CHOSEN, JSON.stringify([...this.chosen]));
+    this.link();
     for (const box of this.table.body.querySelectorAll('input')) {
       box.checked = this.chosen.has(box.value);
     }
     this.load();
+  }
+
+  // Have the address reproduce what is shown.
+  link() {
+    const found = new URLSearchParams({ ...this.shown, runs: [...this.chosen].join(' ') });
+    history.replaceState(null, '', `?${found}`);
   }
 
   runRow(run) {
@@ -141,7 +197,7 @@ class RunsPage {
   }
 
   draw() {
-    const { what, axis, grouped } = this.shown;
+    const { what, axis, grouped, scale } = this.shown;
     const along = {
       generation: ({ generation }) => generation.map((value) => value + 1),
       evaluations: ({ evaluations }) => evaluations,
@@ -150,9 +206,18 @@ class RunsPage {
     const all = this.drawn().map((row) => [row, this.curves.get(row.id)?.columns])
       .filter(([, columns]) => columns?.generation.length)
       .map(([row, columns]) => ({ name: pathOf(row), x: along(columns), y: columns[what],
-        steps: what === 'best', settings: this.settings.get(row.id) ?? {} }));
-    this.chart.set(grouped === 'each' || all.length < 2 ? all : medians(all),
-      { xLabel: AXES[axis], time: axis === 'time' });
+        steps: what === 'best', settings: this.settings.get(row.id) ?? {},
+        simulator: row.simulator }));
+    const problems = new Set(all.map(({ simulator }) => simulator));
+    if (!problems.size) problems.add([...this.charts.keys()][0] ?? '');
+    problems.forEach((simulator) => this.chartOf(simulator));
+    for (const [simulator, { chart, heading, figure }] of this.charts) {
+      const runs = all.filter((one) => one.simulator === simulator);
+      figure.hidden = !problems.has(simulator);
+      heading.hidden = problems.size < 2;
+      chart.set(grouped === 'each' || runs.length < 2 ? runs : medians(runs),
+        { xLabel: AXES[axis], time: axis === 'time', log: scale === 'log' });
+    }
   }
 
   receive(message) {
@@ -161,6 +226,7 @@ class RunsPage {
     for (const id of message.gone ?? []) this.runs.delete(id);
     const rows = [...this.runs.values()];
     this.table.show(rows);
+    this.showStudies(rows);
     if (!sessionStorage.getItem(CHOSEN) && rows.length) {
       const last = rows.filter((row) => row.generation).sort((a, b) => (b.at ?? 0) - (a.at ?? 0));
       this.choose(last.slice(0, 5).map((row) => row.id), true);
@@ -210,7 +276,8 @@ function together(runs, words, ink) {
   return [
     { name: `quartiles${words}`, x, low: columns.low, high: columns.high, ink },
     { name: `median of ${runs.length} runs${words}`, x, y: columns.median, ink, dash: null },
-    ...runs.map((one) => ({ ...one, ink: '--dim', thin: true, dash: '2 3' })),
+    ...runs.map((one) => ({ ...one, ink: '--dim', thin: true, dash: '2 3',
+      unnamed: runs.length > MOST })),
   ];
 }
 
