@@ -5,7 +5,7 @@ from zswarm.ot.assessment.race import LEAST
 
 SHARE = 0.1  # of the run's simulations, by default
 TRACKED = 100  # seeds of each tracked generation
-RACED = 0.66  # of a search's trials, which racing plays: the mean of docs/benchmarks.md
+RACED = 0.7  # of a search's trials, which racing plays: the mean of docs/benchmarks.md
 
 
 def share(complete: Experiment) -> float:
