@@ -94,7 +94,7 @@ def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimiz
             "unknown representation 'lstm'",
         ),
         (
-            ["run", *NOBODY, "--set", "problem.settings.width=30"],
+            ["run", "emergency-exit", *NOBODY, "--set", "problem.settings.width=30"],
             2,
             "width must not exceed height",
         ),

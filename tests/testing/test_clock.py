@@ -15,7 +15,7 @@ MAY_DATE = {
     "robots/templates/zenoh/package/node.py",  # stamps of messages to a robot
     "ros/link/over_zenoh.py",  # when a message was sent, for its readers
     "kernels/cache.py",  # the age of a cache folder
-    "ot/cluster/local.py",  # the age of a folder
+    "system/temporary.py",  # the age of a folder
     "ot/dashboard/tail.py",  # the age of a record
     "ss/health.py",  # since when it serves, as does status.py
     "ss/local/status.py",

@@ -56,7 +56,10 @@ class Visitors:
 
     def step(self, actions: dict[str, Any]) -> tuple[dict[str, Any], ...]:
         self.said.append(actions)
-        paid = {name: float(np.sum(action)) for name, action in actions.items()}
+        paid = {
+            name: float(np.sum(action))  # portable: of two numbers at most
+            for name, action in actions.items()
+        }
         self.at += 1
         gone = f"guest_{self.at % 3}"
         self.agents = (
