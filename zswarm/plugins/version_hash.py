@@ -43,7 +43,10 @@ SHARED = [
     "probe.py",
     "config/ranges.py",
     *(f"sims/{name}.py" for name in ("raised", "randomized", "simulator", "turns")),
-    *(f"kernels/{name}.py" for name in ("angles", "compiler", "jit", "lanes", "portable")),
+    *(
+        f"kernels/{name}.py"
+        for name in ("angles", "compiler", "jit", "lanes", "portable")
+    ),
     *(f"kernels/{name}.py" for name in ("random", "signatures", "sums", "vectors")),
     *(f"nets/{name}.py" for name in ("meshed", "networks", "neurons")),
     *(f"nets/{name}.py" for name in ("representation", "vector")),
