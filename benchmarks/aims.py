@@ -50,13 +50,14 @@ class Aim(NamedTuple):
         )
         if self.value is None:
             return [self.what, wanted, "", "not measured"]
-        by = self.wanted / self.value if self.at_least else self.value / self.wanted
-        return [
-            self.what,
-            wanted,
-            self.written(self.value),
-            "met" if self.held else f"missed by a factor of {by:.2f}",
-        ]
+        if self.held:
+            verdict = "met"
+        elif not self.value:  # of no run, as in a quick form
+            verdict = "missed"
+        else:
+            by = self.wanted / self.value if self.at_least else self.value / self.wanted
+            verdict = f"missed by a factor of {by:.2f}"
+        return [self.what, wanted, self.written(self.value), verdict]
 
 
 def aims(results: Results) -> Iterator[Aim]:

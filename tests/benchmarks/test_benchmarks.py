@@ -220,6 +220,10 @@ def test_a_learning_curve_is_the_best_after_each_evaluation_and_depends_on_the_s
     assert curve.tolist() == again.tolist() != other.tolist()
 
 
+def test_a_value_of_zero_is_missed_by_no_factor() -> None:
+    assert load("aims").Aim("key", "what", 0.6, True, 0.0).row[-1] == "missed"
+
+
 def test_methods_are_compared_after_the_same_number_of_evaluations(
     page: ModuleType, tmp_path: Path
 ) -> None:
