@@ -60,7 +60,12 @@ def test_poses_and_fitness_have_the_same_bits(link: str) -> None:
             by_network(here, seed, iterations=2),
         )
         assert there_played.bits == here_played.bits
-        assert there_played.outcome.metrics == [*here_played.outcome.metrics, 0.0, 0.0]
+        assert there_played.outcome.metrics == [
+            *here_played.outcome.metrics,
+            0.0,
+            0.0,
+            0.0,
+        ]
     there.close()
 
 
