@@ -67,6 +67,12 @@ class Optimized(NamedTuple):
 Play = Callable[[Problem, Workload], None]  # fills the fitness of each trial
 
 
+def forget_installed() -> None:
+    """Let installed parts be read anew."""
+    plugins.entry_points.cache_clear()
+    plugins._installed.cache_clear()
+
+
 @contextlib.contextmanager
 def installed() -> Iterator[None]:
     """Register the simulator ``paced`` for this process and its children, without keys."""
@@ -85,13 +91,13 @@ def installed() -> Iterator[None]:
             [*paths, os.environ.get("PYTHONPATH", "")]
         )
         os.environ["ZSWARM_KEYS"] = "none"
-        plugins._installed.cache_clear()  # it was asked for while modules were imported
+        forget_installed()  # they were asked for while modules were imported
         try:
             yield
         finally:
             for path in paths:
                 sys.path.remove(path)
-            plugins._installed.cache_clear()
+            forget_installed()
             for key, value in before.items():
                 os.environ.pop(key) if value is None else os.environ.update({key: value})
 
