@@ -537,6 +537,24 @@ def test_the_output_of_a_process_is_read_but_for_floods(
     assert died.reason.endswith("; it wrote: last words")
 
 
+def test_last_words_are_kept_where_the_output_ends_before_the_pipe(
+    new_worker: Callable[..., Worker],
+) -> None:
+    slot = new_worker()
+    with Path(f"/proc/{pid(slot)}/fd/1").open("wb") as said:
+        said.write(b"last words")
+    os.kill(pid(slot), signal.SIGKILL)
+    assert slot._process is not None
+    slot._process.join(ANSWER_S)
+    deadline = time.monotonic() + ANSWER_S
+    while slot._output is not None and time.monotonic() < deadline:
+        slot.read_output()
+    assert slot._output is None
+    died = answer(slot)
+    assert isinstance(died, Died)
+    assert died.reason.endswith("; it wrote: last words")
+
+
 def test_a_slot_process_leads_its_session(
     new_worker: Callable[..., Worker],
 ) -> None:

@@ -103,6 +103,7 @@ class Worker:
         self._process: ForkServerProcess | None = None
         self._start_faults: list[str] = []  # from the thread that asked for the process
         self._output: Output | None = None
+        self._words = ""  # the last ones of an output that has ended
         self._prepared = False
         self._held = b""  # a message for the process that is to come
         self._shared_memory: set[str] = set()  # that the process created
@@ -129,7 +130,7 @@ class Worker:
         self._progress[:] = 0
         self.pipe, child_end = new_pipe(key := new_key())
         output, write_end = _context.Pipe(duplex=False)
-        self._output = Output(output)
+        self._output, self._words = Output(output), ""
         self._register(self.pipe, self._on_pipe)
         self._register(self._output, functools.partial(self._owner.on_output, self))
         arguments = child_end, key, self.slot, self._shared, self.memory_mb, write_end
@@ -251,6 +252,7 @@ class Worker:
                 self._send(self._held)
             return message
         self._early_deaths = 0
+        self._words = ""
         if self._output is not None:
             self._output.forget()
         if isinstance(message, Died):
@@ -269,6 +271,7 @@ class Worker:
         lines = self._output.read()
         if self._output.ended:
             self._selector.unregister(self._output)
+            self._words = self._output.last_words()
             self._output.close()
             self._output = None
         return lines
@@ -284,7 +287,11 @@ class Worker:
         reason = exit_reason(self._process.exitcode, CUT_OFF)
         if self._process.exitcode == child.CUT_OFF:
             reason = CUT_OFF
-        if words := self._output.last_words() if self._output is not None else "":
+        if (
+            words := self._output.last_words()
+            if self._output is not None
+            else self._words
+        ):
             reason += f"; it wrote: {words}"
         trial = max(0, self.trial())
         self._pause(reason)
