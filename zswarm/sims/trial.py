@@ -181,8 +181,8 @@ def problem(
     """Build the kernel.
 
     The loop gets a name and globals of its own: numba caches no function that closes over others.
-    It also gets the file of ``start``, because numba caches by file: a changed problem is compiled
-    again, and problems of two modules do not share a kernel.
+    It also gets the place of ``start``: numba caches by file, so that a changed problem is compiled
+    again and problems of two modules share no kernel, and reads the source at that line.
     """
     functions = {
         "start": start,
@@ -191,8 +191,10 @@ def problem(
         "is_over": is_over,
         "judge": judge,
     }
-    file = getattr(start, "py_func", start).__code__.co_filename
-    code = loop.__code__.replace(co_filename=file)
+    place = getattr(start, "py_func", start).__code__
+    code = loop.__code__.replace(
+        co_filename=place.co_filename, co_firstlineno=place.co_firstlineno
+    )
     play = FunctionType(code, {**globals(), **functions}, name)
     play.__qualname__ = name
     numbers = [int64] * (code.co_argcount - 3)

@@ -139,8 +139,8 @@ def run(folder: Path, *capacities: int, kill: bool = False) -> dict[str, Any]:
         for server in servers:
             server.kill(signal.SIGTERM)
             server.wait()
-    assert len(died) == kill
-    assert all("the simulation was killed by signal 9" in reason for reason in died)
+    assert len(died) == kill, died
+    assert all("simulation" in reason for reason in died), died
     assert query(folder / "runs" / "stage", "SELECT count(*) FROM generations") == [(10,)]
     started = [Path("/proc", pid) for pid in (folder / "started").read_text().split()]
     wait_until(
