@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
@@ -119,6 +120,77 @@ def test_the_player_shows_the_chosen_agents_numbers_and_describes_the_picture(
     assert shown == pytest.approx(numbers, abs=spread / 254 + 0.006)
     expect(page.get_by_role("img", name="picture of the trial: robot: 3")).to_be_visible()
     assert page.locator(".zp-name").all_inner_texts()[:2] == ["scan_0", "scan_1"]
+
+
+def with_inputs(trace: Trace, numbers: list[float]) -> Trace:
+    """Return a trace whose agents observe a number, round after round, and act in every one."""
+    rows = np.array(numbers, np.float32)[:, None, None]
+    inputs = np.repeat(rows, len(trace.owners), axis=1)
+    empty = np.zeros((*inputs.shape[:2], 0), np.float32)
+    return Trace(
+        **{
+            **trace.__dict__,
+            "inputs": inputs,
+            "hidden": empty,
+            "outputs": empty,
+            "sensors": ["charge"],
+            "neurons": [],
+            "actuators": [],
+            "frames": [],
+            "rounds": len(numbers),
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("numbers", "zero", "ends"),
+    [
+        ([-1.0, 3.0, 0.0, 1.0], 0.25, ["-1", "3"]),
+        ([2.0, 4.0, 2.0, 4.0], 0.0, ["0", "4"]),
+        ([-2.0, -1.0, -2.0, -1.0], 1.0, ["-2", "0"]),
+    ],
+)
+def test_bars_have_a_tick_at_zero_and_their_range(
+    page: Page, tmp_path: Path, numbers: list[float], zero: float, ends: list[str]
+) -> None:
+    paused(page, with_inputs(of("minisim", steps=5, width=4), numbers), tmp_path)
+    assert page.locator(".zp-end").all_inner_texts() == ends
+    place = page.evaluate(
+        "(() => { const box = (name) => document.querySelector(name).getBoundingClientRect();"
+        " const rail = box('.zp-rail'), tick = box('.zp-zero');"
+        " return (tick.left + tick.width / 2 - rail.left - 1) / (rail.width - 2); })()"
+    )
+    assert place == pytest.approx(zero, abs=0.02)
+
+
+def test_the_heat_map_has_names_an_axis_and_a_scale(page: Page, tmp_path: Path) -> None:
+    """Pointing at it shows the number there; a click goes to its round."""
+    trace = with_inputs(of("minisim", steps=5, width=4), [-127.0, 0.0, 64.0, 127.0])
+    paused(page, trace, tmp_path)
+    assert page.locator(".zp-heat-names span").all_inner_texts() == ["charge", "127"]
+    ticks = ["0", "1", "2", "3", "4", "round"]
+    assert page.locator(".zp-axis span").all_inner_texts() == ticks
+    scale = page.locator(".zp-scale").inner_text().split()
+    assert scale == ["-max", "+max", "0"]
+    heat = page.get_by_role("img", name="heat map")
+    box = heat.bounding_box()
+    assert box is not None
+    expect(page.locator(".zp-pointed")).to_have_text("")
+    heat.hover(position={"x": box["width"] * 0.6, "y": 6})
+    expect(page.locator(".zp-pointed")).to_have_text("round 2, charge: 64.0")
+    heat.click(position={"x": box["width"] * 0.9, "y": 6})
+    assert said(page) == "3 / 4"
+    row = page.evaluate(
+        "(() => { const c = document.querySelector('.zp-heat');"
+        " return [...c.getContext('2d').getImageData(0, 5, c.width, 1).data]; })()"
+    )
+    pixels = [row[at : at + 3] for at in range(0, len(row), 4)]
+    blue, none, pale, orange = (
+        pixels[int(share * len(pixels))] for share in (0.12, 0.37, 0.6, 0.87)
+    )
+    assert blue[2] > blue[0]
+    assert orange[0] > orange[2]
+    assert sum(none) > sum(pale) > sum(orange), "zero has the colour of the page"
 
 
 def test_a_touch_selects_an_agent(browser: Browser, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from zswarm.system.text import clean
 HERE = files("zswarm.ot.replay") / "pages"
 NAME = "replay.html"
 # Each imports earlier ones.
-MODULES = ("decode", "elements", "picture", "panel", "player")
+MODULES = ("decode", "elements", "picture", "heatmap", "panel", "player")
 
 
 def page(trace: Trace, title: str) -> str:

@@ -119,7 +119,7 @@ class Player extends Picture {
   facts() {
     const words = (value) => (typeof value === "object" ? JSON.stringify(value) : String(value));
     return h("details", { class: "zp-facts" },
-      h("summary", { text: "where this is from, and keys" }),
+      h("summary", { text: "details and keyboard shortcuts" }),
       h("dl", {}, ...Object.entries({ ...this.trace.about, ...KEYS }).flatMap(([key, value]) => [
         h("dt", { text: key }), h("dd", { text: words(value) })])));
   }
@@ -222,7 +222,7 @@ class Player extends Picture {
     this.chosen = agent;
     this.agents.value = agent;
     this.panel.title.textContent = agent < 0 ? "no agent chosen" : `agent ${agent}`;
-    this.panel.drawStrips();
+    this.panel.map.prepare();
     this.draw();
   }
 
@@ -251,12 +251,12 @@ class Player extends Picture {
   restyle() {
     this.readColours(this.root);
     this.swatches.forEach((canvas, kind) => this.drawSwatch(canvas, kind));
-    this.panel.drawStrips();
+    this.panel.map.prepare();
     this.draw();
   }
 
   resize() {
-    this.panel.drawStrips();
+    this.panel.map.prepare();
     if (this.trace.width) this.fit(this.stage.clientWidth || 400);
     this.draw();
   }
