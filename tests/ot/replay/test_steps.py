@@ -45,6 +45,12 @@ def written(text: str) -> tuple[list[dict[str, Any]], list[bytes]]:
     return json.loads(index), [base64.b64decode(one) for one in packed]
 
 
+def header_of(encoded: bytes) -> dict[str, Any]:
+    end = 16 + int.from_bytes(encoded[12:16], "little")
+    header: dict[str, Any] = json.loads(encoded[16:end])
+    return header
+
+
 def test_all_generations_and_trials_are_in_a_page(folder: Path, tmp_path: Path) -> None:
     """Each trace is that of the trial when it is played alone; the best is shown first."""
     run, output = Run(folder), tmp_path / "x.html"
@@ -107,6 +113,23 @@ def test_two_runs_are_in_one_page(folder: Path, light: Path, tmp_path: Path) -> 
     menus, traces = written(output.read_text())
     assert [len(side["trials"]) for side in menus] == [1, 1]
     assert len(traces) == 2
+
+
+def test_kinds_have_one_colour_in_all_trials_of_a_simulator(
+    folder: Path, light: Path, tmp_path: Path
+) -> None:
+    """Another simulator begins the palette again."""
+    output = tmp_path / "x.html"
+    typed(str(light), str(folder), "--trials", "-o", str(output))
+    _, traces = written(output.read_text())
+    first, *others = (
+        dict(zip(header["kinds"], header["colours"], strict=True))
+        for header in map(header_of, traces)
+    )
+    assert "c1" in first.values()
+    assert [colours["robot"] for colours in others] == ["c1"] * TRIALS
+    for one in others:
+        assert {kind: others[-1].get(kind, name) for kind, name in one.items()} == one
 
 
 def test_each_of_two_runs_may_have_its_generation(folder: Path, tmp_path: Path) -> None:

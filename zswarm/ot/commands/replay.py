@@ -177,12 +177,12 @@ def _show_several(
 
 
 def _played(chosen: "Sequence[Steps]") -> "list[Side]":
-    """Play all trials, showing how far that is; a kind has one colour in all of them."""
+    """Play all trials, showing how far that is; a kind has one colour in all of a simulator."""
     from rich.progress import Progress
 
     from zswarm.ot.replay import page
 
-    colours: dict[str, str] = {}
+    colours: dict[str, dict[str, str]] = {}  # of kinds, by simulator
     size, sides = 0, []
     total = sum(len(steps.trials) for steps in chosen)
     screen = terminal.console(stderr=True, live=True)
@@ -191,9 +191,10 @@ def _played(chosen: "Sequence[Steps]") -> "list[Side]":
     ) as shown:
         task = shown.add_task("playing trials", total=total)
         for steps in chosen:
+            shared = colours.setdefault(steps.run.experiment.problem.simulator, {})
             trials = []
             for found in steps.play():
-                trials.append(page.played(found, colours))
+                trials.append(page.played(found, shared))
                 _warn(found.about, found.note, found.error)
                 size += len(trials[-1].encoded)
                 if size > LARGEST:
