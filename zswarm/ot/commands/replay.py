@@ -17,7 +17,7 @@ from zswarm.system.text import clean
 
 if TYPE_CHECKING:
     from zswarm.ot.replay.page import Side
-    from zswarm.ot.replay.steps import Steps
+    from zswarm.ot.replay.steps import TrialSteps
     from zswarm.ot.replay.trace import Trace
 
 MENU = ("Results", 4)
@@ -137,7 +137,9 @@ def _check(
         )
 
 
-def _show_one(chosen: "Steps", kind: str | None, output: Path, *, as_json: bool) -> None:
+def _show_one(
+    chosen: "TrialSteps", kind: str | None, output: Path, *, as_json: bool
+) -> None:
     from zswarm.ot.replay import page
 
     (found,) = chosen.play()
@@ -154,7 +156,7 @@ def _show_one(chosen: "Steps", kind: str | None, output: Path, *, as_json: bool)
 
 
 def _show_several(
-    chosen: "Sequence[Steps]", kind: str | None, output: Path, *, as_json: bool
+    chosen: "Sequence[TrialSteps]", kind: str | None, output: Path, *, as_json: bool
 ) -> None:
     from zswarm.ot.replay import page
 
@@ -176,7 +178,7 @@ def _show_several(
     tables.line(f"{clean(str(output))}: {title}; {plural(len(every), 'trial')}{hint}")
 
 
-def _played(chosen: "Sequence[Steps]") -> "list[Side]":
+def _played(chosen: "Sequence[TrialSteps]") -> "list[Side]":
     """Play all trials, showing how far that is; a kind has one colour in all of a simulator."""
     from rich.progress import Progress
 

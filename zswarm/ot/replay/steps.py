@@ -14,7 +14,7 @@ EXPECTED = f"expected {ALL}, {RISING}, or generations such as 1,10,200"
 MOST_TRIALS = 2_000  # of a page
 
 
-class Steps(NamedTuple):
+class TrialSteps(NamedTuple):
     """The trials of a run that are played, and the first one that is shown."""
 
     run: Run
@@ -40,7 +40,7 @@ def choose(
     generations: str | None = None,
     *,
     trials: bool = False,
-) -> Steps:
+) -> TrialSteps:
     """Return the trials to step through, and the one that is shown first.
 
     Args:
@@ -71,7 +71,7 @@ def choose(
     if (shown, trial) not in chosen:
         count = sum(number == shown for number, _ in chosen)
         raise ConfigError(f"{run.shown}: no trial {trial}; {available('trial', count)}")
-    return Steps(run, candidate, chosen, chosen.index((shown, trial)))
+    return TrialSteps(run, candidate, chosen, chosen.index((shown, trial)))
 
 
 def _listed(run: Run, text: str) -> list[int]:
