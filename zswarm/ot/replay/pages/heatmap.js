@@ -65,8 +65,8 @@ export class HeatMap {
 
   fillAxis(rounds) {
     const ticks = Array.from({ length: TICKS + 1 }, (_, i) => {
-      const tick = h("span", { text: String(Math.round((i * rounds) / TICKS)) });
-      tick.style.left = `${(100 * i) / TICKS}%`;
+      const round = Math.round((i * rounds) / TICKS), tick = h("span", { text: String(round) });
+      tick.style.left = `${(100 * round) / Math.max(1, rounds)}%`;
       return tick;
     });
     fill(this.axis, ...(rounds >= TICKS ? ticks : [ticks[0], ticks[TICKS]]),

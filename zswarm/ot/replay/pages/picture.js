@@ -162,9 +162,12 @@ export class Picture {
       const [x, y] = this.place(this.chosen);
       context.beginPath();
       context.arc(x, y, trace.radii[this.chosen] + 4 / view.scale, 0, 2 * Math.PI);
-      context.lineWidth = 2.5 / view.scale;
-      context.strokeStyle = this.colours.fg;
-      context.stroke();
+      // Visible on each floor.
+      for (const [width, colour] of [[5, this.colours.field], [2.5, this.colours.fg]]) {
+        context.lineWidth = width / view.scale;
+        context.strokeStyle = colour;
+        context.stroke();
+      }
     }
     this.drawLabels(context);
   }
