@@ -103,6 +103,19 @@ def test_medians_are_of_all_runs_of_a_setting_up_to_the_end_of_the_first(
     expect(page.locator(".readout").first).to_contain_text("generation 20: median of 17")
 
 
+def test_a_study_of_a_hundred_runs_opens_with_a_few_requests(
+    page: Page, dashboard: Start, tmp_path: Path, watched: Watched
+) -> None:
+    for seed in range(1, 101):
+        write(tmp_path / "study", f"seed-{seed}", seed=seed, generations=3)
+    page.goto(dashboard(tmp_path).url)
+    page.get_by_text("median and quartiles").click()
+    page.get_by_role("button", name="study (100)").click()
+    expect(page.locator(".legend .key", has_text="median of 100 runs")).to_be_visible()
+    asked = [url for url in watched.requests if "/api/" in url]
+    assert len(asked) <= 3  # the newest five runs, then two halves of the study
+
+
 def test_the_page_of_a_run_shows_progress_events_and_settings(
     page: Page, dashboard: Start, tmp_path: Path
 ) -> None:

@@ -44,6 +44,7 @@ def application(index: RunIndex) -> Starlette:
         routes=[
             Mount("/static", StaticFiles(packages=FILES)),
             Route("/api/runs", dashboard.runs),
+            Route("/api/curves", dashboard.curves),
             Route(f"{run}/trace", dashboard.replay),
             Route(f"{run}/control/{{request}}", dashboard.control, methods=["POST"]),
             Route(f"{run}/{{name}}", dashboard.answer),
@@ -62,6 +63,12 @@ class _Dashboard:
 
     async def runs(self, _: Request) -> Response:
         return _json(await asyncio.to_thread(self.index.rows))
+
+    async def curves(self, request: Request) -> Response:
+        found = await asyncio.to_thread(
+            endpoints.curves, self.index, request.query_params
+        )
+        return _json(found)
 
     async def folder(self, request: Request) -> Path:
         """Return the folder of a run; raise LookupError if there is no such run."""
