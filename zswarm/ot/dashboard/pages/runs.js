@@ -113,18 +113,21 @@ class RunsPage {
       this.figures, this.left, this.differences);
   }
 
-  // Draw runs, or none but these.
+  // Draw runs, or none but these, and have the address reproduce it.
   choose(ids, more) {
-    this.chosen = new Set([...(more ? this.chosen : []), ...ids]);
-    sessionStorage.setItem(CHOSEN, JSON.stringify([...this.chosen]));
+    this.keep([...(more ? this.chosen : []), ...ids]);
     this.link();
+  }
+
+  keep(ids) {
+    this.chosen = new Set(ids);
+    sessionStorage.setItem(CHOSEN, JSON.stringify([...this.chosen]));
     for (const box of this.table.body.querySelectorAll('input')) {
       box.checked = this.chosen.has(box.value);
     }
     this.load();
   }
 
-  // Have the address reproduce what is shown.
   link() {
     const found = new URLSearchParams({ ...this.shown, runs: [...this.chosen].join(' ') });
     history.replaceState(null, '', `?${found}`);
@@ -230,7 +233,7 @@ class RunsPage {
     this.showStudies(rows);
     if (!sessionStorage.getItem(CHOSEN) && rows.length) {
       const last = rows.filter((row) => row.generation).sort((a, b) => (b.at ?? 0) - (a.at ?? 0));
-      this.choose(last.slice(0, 5).map((row) => row.id), true);
+      this.keep(last.slice(0, 5).map((row) => row.id));
     } else if (message.runs || message.gone) {
       this.load();
     }
