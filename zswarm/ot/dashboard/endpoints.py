@@ -17,6 +17,7 @@ from zswarm.ot.analysis.csv import to_csv
 from zswarm.ot.dashboard import downsample
 from zswarm.ot.dashboard.rows import read_events
 from zswarm.ot.dashboard.run_index import RunIndex
+from zswarm.ot.record import annotations
 from zswarm.ot.record.opening import NOT_DECISIVE
 from zswarm.ot.record.reader import Run
 from zswarm.plugins import registry as plugins
@@ -69,6 +70,7 @@ def about(run: Run, _: Query) -> dict[str, Any]:
             f"{clean(line)}\n" for line in experiment.to_toml(complete).splitlines()
         ),
         "began": meta.get("created_at"),
+        **annotations.shown(run.folder),
         "sensors": getattr(champion, "sensors", []),
         "actuators": getattr(champion, "actuators", []),
     }

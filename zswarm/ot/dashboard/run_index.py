@@ -107,6 +107,8 @@ def _details(folder: Path) -> tuple[dict[str, Any], Experiment | None]:
         "representation": complete.representation.kind,
         "optimizer": complete.optimizer.kind,
         "seed": complete.seed,
+        "tags": row["tags"],
+        "note": row["note"],
     }
     return details, complete
 
