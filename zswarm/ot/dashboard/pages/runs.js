@@ -15,7 +15,7 @@ const HEADS = [
   ['', ''], ['run', 'name'], ['state', 'status'], ['generation', 'generation', 'n'],
   ['best in search', 'best', 'n'], ['held-out', 'held_out', 'n'], ['evaluations', 'evaluations', 'n'], ['simulator', 'simulator'],
   ['network', 'representation'], ['optimizer', 'optimizer'], ['seed', 'seed', 'n'],
-  ['last', 'at', 'n'], ['tags and note', 'note'],
+  ['last', 'at', 'n'],
 ];
 const RESULTS = [['best in search', 'best'], ['champion, held-out', 'held_out'],
   ['generation', 'generation'], ['evaluations', 'evaluations']];
@@ -137,7 +137,7 @@ class RunsPage {
     const { id, generation, generations } = run, name = pathOf(run);
     if (run.error) {
       return tr('', [name, 'name'], badge('unreadable'),
-        h('td', { class: 'why', colspan: 10, text: run.error }));
+        h('td', { class: 'why', colspan: 9, text: run.error }));
     }
     const box = h('input', {
       type: 'checkbox', value: id, checked: this.chosen.has(id), 'aria-label': `draw ${run.name}`,
@@ -146,12 +146,12 @@ class RunsPage {
         this.choose(box.checked ? [id] : [], true);
       } });
     const link = h('a', { href: `/run?${new URLSearchParams({ run: id })}`, text: name });
-    return tr(box, h('td', { class: 'name' }, link), badge(run.status),
+    const marks = run.tags.length || run.note ? h('div', { class: 'small dim' },
+      ...run.tags.map((text) => h('span', { class: 'tag', text })), run.note.split('\n')[0]) : null;
+    return tr(box, h('td', { class: 'name' }, link, marks), badge(run.status),
       [`${number(generation)} / ${number(generations)}`, 'n'], n(run.best), n(run.held_out),
       n(run.evaluations), run.simulator, run.representation, run.optimizer, [String(run.seed), 'n'],
-      h('td', { class: 'n' }, ago(run.at)),
-      h('td', { class: 'tags' }, ...run.tags.map((text) => h('span', { class: 'tag', text })),
-        h('span', { class: 'dim small', text: run.note.split('\n')[0] })));
+      h('td', { class: 'n' }, ago(run.at)));
   }
 
   // Return the chosen runs that are drawn.
