@@ -12,7 +12,8 @@ from zswarm.ot.cli import command
 
 
 def call(*arguments: object) -> str:
-    done = CliRunner().invoke(command, [*map(str, arguments)], catch_exceptions=False)
+    runner = CliRunner(env={"COLUMNS": "300"})
+    done = runner.invoke(command, [*map(str, arguments)], catch_exceptions=False)
     return done.stdout
 
 
