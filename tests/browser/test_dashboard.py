@@ -104,6 +104,25 @@ def test_medians_are_of_all_runs_of_a_setting_up_to_the_end_of_the_first(
     expect(page.locator(".readout").first).to_contain_text("generation 20: median of 17")
 
 
+def test_medians_have_labels_and_settings_an_importance(
+    page: Page, dashboard: Start, tmp_path: Path
+) -> None:
+    for seed in (1, 2, 3):
+        for hidden, length in ((2, 20), (3, 40)):
+            settings = [f"representation.hidden={hidden}", f'label="H{hidden}"']
+            name = f"h{hidden}-{seed}"
+            long = {"generations": length, "seed": seed, "settings": settings}
+            write(tmp_path / "study", name, **long)
+    page.goto(dashboard(tmp_path).url)
+    page.get_by_text("median and quartiles").click()
+    page.get_by_role("button", name="study (6)").click()
+    expect(page.locator(".legend .key", has_text="median of 3 runs: H3")).to_be_visible()
+    page.get_by_text("importance of settings").click()
+    expect(page.get_by_role("cell", name="representation.hidden")).to_be_visible()
+    page.get_by_role("button", name="none").click()
+    expect(page.get_by_text("importance of settings")).not_to_be_visible()
+
+
 def test_tags_and_a_note_are_written_on_a_page_and_filter_the_runs(
     page: Page, dashboard: Start, tmp_path: Path
 ) -> None:

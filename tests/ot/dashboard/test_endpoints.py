@@ -52,3 +52,14 @@ def test_curves_of_several_runs_come_in_one_answer(tmp_path: Path) -> None:
     assert list(found) == ["stadium"]
     assert found["stadium"]["curve"]["best"] == [1.0, 2.0]
     assert found["stadium"]["settings"]["representation.hidden"] == "2"
+
+
+def test_settings_explain_the_fitness_of_runs(tmp_path: Path) -> None:
+    for hidden, best in ((1, 1.0), (1, 1.5), (2, 3.0), (2, 3.5)):
+        written(tmp_path, [best], hidden=hidden)
+    runs = " ".join(row["id"] for row in RunIndex([tmp_path]).rows())
+    found = endpoints.explained(RunIndex([tmp_path]), {"runs": runs})
+    (effect,) = found["effects"]
+    assert effect["settings"] == ("representation.hidden",)
+    assert effect["eta2"] == pytest.approx(4.0 / 4.25)
+    assert endpoints.explained(RunIndex([tmp_path]), {"runs": "stadium"})["why"]

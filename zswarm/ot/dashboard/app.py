@@ -46,6 +46,7 @@ def application(index: RunIndex) -> Starlette:
             Mount("/static", StaticFiles(packages=FILES)),
             Route("/api/runs", dashboard.runs),
             Route("/api/curves", dashboard.curves),
+            Route("/api/importance", dashboard.importance),
             Route(f"{run}/trace", dashboard.replay),
             Route(f"{run}/control/{{request}}", dashboard.control, methods=["POST"]),
             Route(f"{run}/note", dashboard.note, methods=["POST"]),
@@ -69,6 +70,12 @@ class _Dashboard:
     async def curves(self, request: Request) -> Response:
         found = await asyncio.to_thread(
             endpoints.curves, self.index, request.query_params
+        )
+        return _json(found)
+
+    async def importance(self, request: Request) -> Response:
+        found = await asyncio.to_thread(
+            endpoints.explained, self.index, request.query_params
         )
         return _json(found)
 

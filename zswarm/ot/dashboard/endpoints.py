@@ -14,6 +14,8 @@ from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.experiment import Experiment
 from zswarm.ot.analysis.caveats import caveats
 from zswarm.ot.analysis.csv import to_csv
+from zswarm.ot.analysis.grouping import flat
+from zswarm.ot.analysis.importance import importance
 from zswarm.ot.dashboard import downsample
 from zswarm.ot.dashboard.rows import read_events
 from zswarm.ot.dashboard.run_index import RunIndex
@@ -98,7 +100,7 @@ def settings(complete: Experiment) -> dict[str, str]:
 
 
 def curves(index: RunIndex, query: Query) -> dict[str, Any]:
-    """Return the curve and the settings of each of several runs that can be read, by its id."""
+    """Return the curve, settings and label of each of several runs that can be read, by its id."""
     points = max(2, number(query, "points", downsample.MOST, downsample.MOST))
     found: dict[str, Any] = {}
     for id_ in query.get("runs", "").split()[:RUNS]:
@@ -106,8 +108,24 @@ def curves(index: RunIndex, query: Query) -> dict[str, Any]:
         if folder is not None and complete is not None:
             with contextlib.suppress(ConfigError):  # the list of runs says why
                 curve = downsample.curve(Run(folder), points)
-                found[id_] = {"curve": curve, "settings": settings(complete)}
+                found[id_] = {
+                    "curve": curve,
+                    "settings": settings(complete),
+                    "label": clean(complete.label),
+                }
     return found
+
+
+def explained(index: RunIndex, query: Query) -> dict[str, Any]:
+    """Return how much each setting explains of the differences between some runs' fitness."""
+    rows = {row["id"]: row for row in index.rows()}
+    settings, values = [], []
+    for id_ in query.get("runs", "").split()[:RUNS]:
+        complete, best = index.experiment(id_), rows.get(id_, {}).get("best")
+        if complete is not None and best is not None:
+            settings.append(flat(complete))
+            values.append(best / complete.problem.trials)
+    return importance(settings, values).as_object()
 
 
 def events(run: Run, query: Query) -> list[dict[str, Any]]:

@@ -1,5 +1,6 @@
 // All runs: a table, and the curves of the chosen ones, overlaid or as median and quartiles.
 import { Chart, nearest } from './chart.js';
+import { showImportance } from './importance.js';
 import { follow } from './live.js';
 import { SortedTable, ago, ask, badge, between, button, card, choice, fill, h, n, number, row,
   rowHead, table, tr, unlessGone } from './page.js';
@@ -50,6 +51,9 @@ class RunsPage {
     this.compared = h('div');
     this.differences = h('details', { hidden: true, ontoggle: () => this.compare() },
       h('summary', { text: 'what differs' }), this.compared);
+    this.explained = h('div');
+    this.importance = h('details', { hidden: true, ontoggle: () => this.explain() },
+      h('summary', { text: 'importance of settings' }), this.explained);
     fill(view, h('h1', { text: 'Runs' }), this.buildCurves(), card('All runs',
       between(row(this.table.filter, button('tick shown', () => this.tick(this.table.found)),
         button('none', () => this.choose([], false))), this.table.count),
@@ -110,7 +114,7 @@ class RunsPage {
           choose('Axis', 'scale', [['linear', 'linear'], ['log', 'logarithmic']]),
           choose('Runs', 'grouped', [['each', 'each run'], ['together', 'median and quartiles']])),
         row(button('PNG', () => this.png()))),
-      this.figures, this.left, this.differences);
+      this.figures, this.left, this.importance, this.differences);
   }
 
   // Draw runs, or none but these, and have the address reproduce it.
@@ -177,13 +181,26 @@ class RunsPage {
     await unlessGone(() => Promise.all(parts.map(async (part) => {
       const runs = part.map(({ id }) => id).join(' ');
       const found = await ask(`/api/curves?${new URLSearchParams({ points, runs })}`);
-      for (const [id, { curve, settings }] of Object.entries(found)) {
-        this.curves.get(id).columns = curve;
+      for (const [id, { curve, label, settings }] of Object.entries(found)) {
+        Object.assign(this.curves.get(id), { columns: curve, label });
         this.settings.set(id, settings);
       }
     })));
     this.draw();
+    this.explain();
     this.compare();
+  }
+
+  // Show which settings explain the fitness of the chosen runs, all of one problem.
+  explain() {
+    const runs = [...this.chosen].map((id) => this.runs.get(id)).filter((row) => row && !row.error);
+    const problems = new Set(runs.map(({ simulator }) => simulator));
+    this.importance.hidden = runs.length < 2 || problems.size > 1;
+    if (this.importance.hidden || !this.importance.open) return;
+    const key = runs.map(({ id, best }) => `${id} ${best}`).join();
+    if (key === this.explainedOf) return;
+    this.explainedOf = key;
+    showImportance(this.explained, runs);
   }
 
   // Show the settings in which the chosen runs differ, and their results.
@@ -213,6 +230,7 @@ class RunsPage {
       .filter(([, columns]) => columns?.generation.length)
       .map(([row, columns]) => ({ name: pathOf(row), x: along(columns), y: columns[what],
         steps: what === 'best', settings: this.settings.get(row.id) ?? {},
+        label: this.curves.get(row.id).label,
         simulator: row.simulator }));
     const problems = new Set(all.map(({ simulator }) => simulator));
     if (!problems.size) problems.add([...this.charts.keys()][0] ?? '');
@@ -259,7 +277,7 @@ function medians(all) {
     && all.some(({ settings }) => settings[key] !== first[key]));
   return groups.flatMap((runs, i) => {
     if (runs.length < 2) return runs;
-    const values = differs
+    const values = runs[0].label || differs
       .map((key) => `${key.split('.').at(-1)} ${runs[0].settings[key] ?? '–'}`).join(', ');
     const words = groups.length > 1 && values ? `: ${values}` : '';
     return together(runs, words, `--c${(i % 7) + 1}`);
