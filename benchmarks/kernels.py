@@ -31,7 +31,7 @@ NETWORK = {"hidden": 6, "iterations": 1, "activation": "tanh"}
 BATCH = 64  # candidates at once in numpy
 ROUNDS_OF_EXIT = 50  # of emergency-exit
 LEAST_S = 0.3  # of CPU time in a measurement
-ROUNDS, QUICK_ROUNDS = 5, 3
+ROUNDS = 5
 
 Row = dict[str, Any]
 
@@ -393,8 +393,11 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--quick", action="store_true", help="zswarm and C only, half a minute"
+        "--quick",
+        action="store_true",
+        help="zswarm and C only, and one round unless said: whether it works",
     )
+    parser.add_argument("--rounds", type=int, help=f"[default] {ROUNDS}")
     parser.add_argument("--folder", type=Path, help="of the results")
     parser.add_argument(
         "--one", nargs=3, metavar=("KERNEL", "VARIANT", "AGENTS"), help=argparse.SUPPRESS
@@ -405,7 +408,7 @@ def main() -> None:
         return
     machine.warn_if_busy()
     found: dict[tuple[str, str, int], list[Row]] = {}
-    for number in range(QUICK_ROUNDS if arguments.quick else ROUNDS):
+    for number in range(arguments.rounds or (1 if arguments.quick else ROUNDS)):
         for way in wanted(quick=arguments.quick):
             fast = way[1] in ("numba", "C", "C, one by one", "numpy batch")
             if number == 0 or (fast and "missing" not in found[way][0]):

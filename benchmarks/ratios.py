@@ -150,12 +150,13 @@ def beside_a_pool(size: Size) -> dict[str, float]:
     return found
 
 
-def kernel(_: Size) -> dict[str, float]:
+def kernel(size: Size) -> dict[str, float]:
     """Compare the flagship kernel with C, or with a numpy batch where there is no compiler."""
     if not (HERE / "kernels.py").exists():
         return {}
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, HERE / "kernels.py", "--quick", "--folder", folder]
+        command += ["--rounds", str(size.rounds)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, timeout=KERNEL_S)
         rows = json.loads((Path(folder) / "kernels.json").read_text())["rows"]
     rate = {

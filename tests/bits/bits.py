@@ -4,9 +4,9 @@ Cover every simulator in each of its variants with one network, and every networ
 variants with one simulator: outcomes of some trials, played in a batch and turn by turn. Add the
 results of the networks' operators, and what short runs of each optimizer variant with each network
 propose, receive and store on the smallest problem. Finally, cover every pair of simulator and
-network. With ``short``, shorten the trials for plain Python; with ``few``, also play only a few of
-them and omit runs and pairs; with ``versions``, do as with ``few``, but with the runs of the
-optimizers for one network, and for the one that ``neat`` needs.
+network. With ``short``, shorten the trials for plain Python, and play half of the genomes; with
+``few``, also play only a few of the trials and omit runs and pairs; with ``versions``, do as with
+``few``, but with the runs of the optimizers for one network, and for the one that ``neat`` needs.
 """
 
 import contextlib
@@ -32,7 +32,7 @@ from zswarm.sims.turns import play_turns
 FEW = sys.argv[1:] in (["few"], ["versions"])
 # Of a trial, if not as many as the simulator's settings say.
 STEPS = 25 if sys.argv[1:] else None
-GENOMES = 2 if FEW else 6
+GENOMES = 2 if FEW else 3 if STEPS else 6
 SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
 # Partners: whose metrics show every bit of what is decided, lanes.

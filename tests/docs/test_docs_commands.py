@@ -114,6 +114,9 @@ GIVEN = {
 HERE = {
     "ROUTER": "127.0.0.1",
     "--repeat 20": "--repeat 2",
+    # Its 100 generations are played in tests/integration/test_own_simulator.py.
+    "run lost-robots.toml": "run lost-robots.toml --set generations=10",
+    "run rendezvous.toml": "run rendezvous.toml --set generations=3",
     "run epuck-aggregation": "run epuck-aggregation --set generations=1 "
     "--set optimizer.population=4 --set problem.trials=1 --set assessment.budget=0",
 }
