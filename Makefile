@@ -34,7 +34,7 @@ programs: $(READY)
 product: $(READY)
 	EVERY_PART=1 $(BIN)/python -m pytest $(TESTS) -m product $(ARGS)
 
-# Scenarios of VMAS, in an environment of their own: torch is large.
+# Scenarios of VMAS, and runs for MLflow and Weights & Biases, in an environment of their own: these are large.
 vmas: build/vmas/ready
 	build/vmas/bin/python -m pytest $(TESTS) -m vmas $(ARGS)
 
@@ -151,7 +151,7 @@ $(READY): pyproject.toml Makefile
 # One release of torch, so that pip takes its build without graphics (+cpu) where it is told of one.
 build/vmas/ready: pyproject.toml Makefile
 	$(PYTHON) -m venv build/vmas
-	build/vmas/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,vmas]' 'torch==2.13.*'
+	build/vmas/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,mlflow,vmas,wandb]' 'torch==2.13.*'
 	@touch $@
 
 # rclpy has an environment of its own: it starts each of its programs twice. Without a build for this machine there is none.

@@ -15,6 +15,7 @@ from tests.browser.conftest import Dashboard, Watched
 from tests.browser.records import BEGUN, assess, from_the_future, grow, write
 from tests.ot.record.sealing import reseal
 from zswarm.controller import HeldOut, Tracked
+from zswarm.ot.record import annotations
 from zswarm.ot.record import control_file as control
 from zswarm.ot.record.folder import lock_folder
 
@@ -101,6 +102,61 @@ def test_medians_are_of_all_runs_of_a_setting_up_to_the_end_of_the_first(
     page.locator(".chart svg[role=img]").first.focus()
     page.keyboard.press("End")  # of the median, which has the most points
     expect(page.locator(".readout").first).to_contain_text("generation 20: median of 17")
+
+
+def test_medians_have_labels_and_settings_an_importance(
+    page: Page, dashboard: Start, tmp_path: Path
+) -> None:
+    for seed in (1, 2, 3):
+        for hidden, length in ((2, 20), (3, 40)):
+            settings = [f"representation.hidden={hidden}", f'label="H{hidden}"']
+            name = f"h{hidden}-{seed}"
+            long = {"generations": length, "seed": seed, "settings": settings}
+            write(tmp_path / "study", name, **long)
+    page.goto(dashboard(tmp_path).url)
+    page.get_by_text("median and quartiles").click()
+    page.get_by_role("button", name="study (6)").click()
+    expect(page.locator(".legend .key", has_text="median of 3 runs: H3")).to_be_visible()
+    page.get_by_text("importance of settings").click()
+    expect(page.get_by_role("cell", name="representation.hidden")).to_be_visible()
+    page.get_by_role("button", name="none").click()
+    expect(page.get_by_text("importance of settings")).not_to_be_visible()
+
+
+def test_tags_and_a_note_are_written_on_a_page_and_filter_the_runs(
+    page: Page, dashboard: Start, tmp_path: Path
+) -> None:
+    write(tmp_path)
+    write(tmp_path, "other")
+    shown = dashboard(tmp_path)
+    page.goto(f"{shown.url}/run?run=long")
+    expect(page.get_by_label("note", exact=True)).to_be_disabled()
+    page.goto(f"{shown.url}/#token={shown.token}")
+    page.get_by_role("link", name="long").click()
+    page.get_by_label("tags, with commas").fill("paper, baseline")
+    page.get_by_label("note", exact=True).fill(HOSTILE)
+    page.get_by_role("button", name="Save").click()
+    expect(page.get_by_text("saved", exact=True)).to_be_visible()
+    page.get_by_role("link", name="Runs").click()
+    expect(page.locator(".tag")).to_have_text(["baseline", "paper"])
+    expect(page.get_by_text(HOSTILE)).to_be_visible()
+    page.get_by_label("Filter runs").fill("paper")
+    expect(page.locator(".tall tbody tr")).to_have_count(1)
+    annotations.save(tmp_path / "other", annotations.Annotations(tags=["paper 2"]))
+    expect(page.locator(".tall tbody tr")).to_have_count(2)
+
+
+def test_a_study_of_a_hundred_runs_opens_with_a_few_requests(
+    page: Page, dashboard: Start, tmp_path: Path, watched: Watched
+) -> None:
+    for seed in range(1, 101):
+        write(tmp_path / "study", f"seed-{seed}", seed=seed, generations=3)
+    page.goto(dashboard(tmp_path).url)
+    page.get_by_text("median and quartiles").click()
+    page.get_by_role("button", name="study (100)").click()
+    expect(page.locator(".legend .key", has_text="median of 100 runs")).to_be_visible()
+    asked = [url for url in watched.requests if "/api/" in url]
+    assert len(asked) <= 3  # the newest five runs, then two halves of the study
 
 
 def test_the_page_of_a_run_shows_progress_events_and_settings(

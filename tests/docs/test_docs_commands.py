@@ -101,7 +101,8 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
 }
 # What a page takes for granted at its beginning.
 GIVEN = {
-    "commands.md": "mkdir -p ~/.config/fish/conf.d",
+    "commands.md": "mkdir -p ~/.config/fish/conf.d\n"
+    "zswarm-ot run minisim --servers local --set generations=2",
     "export.md": "zswarm-ot run stadium --servers local --set generations=5",
     "figures.md": "zswarm-ot run stadium --servers local",
     "optimizers.md": "zswarm-ot run minisim-elites --servers local --set generations=20",

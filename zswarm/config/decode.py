@@ -3,6 +3,7 @@
 All functions raise ``ConfigError``, except ``parse``.
 """
 
+import functools
 import json
 import math
 import re
@@ -112,7 +113,7 @@ def _refuse_unknown(
     where: str,
     path: tuple[str, ...] = (),
 ) -> None:
-    fields = {field.encode_name: field.type for field in msgspec.structs.fields(struct)}
+    fields = _types(struct)
     for key, value in mapping.items():
         full = (*path, key)
         if key not in fields:
@@ -122,6 +123,12 @@ def _refuse_unknown(
             )
         if isinstance(value, Mapping) and is_struct(fields[key]):
             _refuse_unknown(value, fields[key], f"{where}: {key}", full)
+
+
+@functools.cache
+def _types(struct: type[msgspec.Struct]) -> dict[str, Any]:
+    """Return the types of a struct's fields; a list of runs reads hundreds of files."""
+    return {field.encode_name: field.type for field in msgspec.structs.fields(struct)}
 
 
 def _path_and_text(message: str, struct: type[msgspec.Struct]) -> tuple[str, str]:
@@ -144,8 +151,7 @@ def _choices(struct: type[msgspec.Struct], path: str) -> list[str]:
     for key in path.split("."):
         if not is_struct(kind):
             return []
-        types = {field.encode_name: field.type for field in msgspec.structs.fields(kind)}
-        kind = types.get(key)
+        kind = _types(kind).get(key)
     return list(dict.fromkeys(_strings(kind)))
 
 

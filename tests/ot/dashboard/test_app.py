@@ -4,7 +4,7 @@ import asyncio
 import re
 from importlib import resources
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from starlette.websockets import WebSocket
@@ -12,7 +12,10 @@ from starlette.websockets import WebSocket
 from tests.ot.invented_record import written
 from zswarm.ot.dashboard import app, broadcast
 from zswarm.ot.dashboard.broadcast import Broadcaster
+from zswarm.ot.dashboard.guard import Guard
 from zswarm.ot.dashboard.run_index import RunIndex
+
+TOKEN = "secret"  # noqa: S105  of a test
 
 
 def test_pages_make_text_and_never_markup() -> None:
@@ -80,3 +83,46 @@ def test_a_tab_beyond_the_limit_is_closed(
         app._serve(cast(WebSocket, tab), Broadcaster(RunIndex([tmp_path])), "", None)
     )
     assert tab.closed == [1013]
+
+
+def test_only_the_page_with_the_token_writes_notes(tmp_path: Path) -> None:
+    """A page of another site, or one without the token, changes nothing."""
+    folder = written(tmp_path, [1.0])
+    ours = {"host": "127.0.0.1:8467", "origin": "http://127.0.0.1:8467"}
+    token = {"authorization": f"Bearer {TOKEN}"}
+    guarded = Guard(
+        app.application(RunIndex([tmp_path])), hosts=[], token=TOKEN, closed=False
+    )
+
+    def post(body: bytes, **headers: str) -> int:
+        told: list[dict[str, Any]] = []
+
+        async def receive() -> Any:
+            return {"type": "http.request", "body": body}
+
+        async def send(message: Any) -> None:
+            told.append(message)
+
+        scope = {
+            "type": "http",
+            "method": "POST",
+            "path": "/api/runs/stadium/note",
+            "query_string": b"",
+            "subprotocols": [],
+            "headers": [(name.encode(), text.encode()) for name, text in headers.items()],
+        }
+        asyncio.run(guarded(scope, receive, send))
+        return int(told[0]["status"])
+
+    good = b'{"tags": ["paper"], "note": "from the page"}'
+    assert post(good, **ours) == 401
+    assert post(good, **{**ours, **token, "origin": "http://evil.example"}) == 403
+    assert post(good, host=ours["host"], **token) == 403
+    assert post(good, **ours, **token, **{"sec-fetch-site": "cross-site"}) == 403
+    assert post(b"x" * ((1 << 16) + 1), **ours, **token) == 422
+    assert post(b'{"tags": ["a,b"]}', **ours, **token) == 422
+    assert post(b"[]", **ours, **token) == 422
+    assert not (folder / "notes.toml").exists()
+    assert post(good, **ours, **token) == 204
+    (row,) = RunIndex([tmp_path]).rows()
+    assert (row["tags"], row["note"]) == (["paper"], "from the page")

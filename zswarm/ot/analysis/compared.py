@@ -24,9 +24,10 @@ def compare(groups: Mapping[str, Sequence[Run]], by: By, of: str) -> Comparison:
     Raises:
         ConfigError: runs cannot be compared, or have no such number.
     """
+    settings = {group: flat(members[0].experiment) for group, members in groups.items()}
     if of == SEARCH:
         loaded, notes = curves.load(groups)
-        return comparison.of_series(loaded, by, notes)
+        return comparison.of_series(loaded, by, notes, settings)
     values, counted, left_out = measure.values(groups, of)
     loaded, notes = curves.load(counted)
     if any(len(loaded[group]) != len(members) for group, members in counted.items()):
@@ -34,7 +35,8 @@ def compare(groups: Mapping[str, Sequence[Run]], by: By, of: str) -> Comparison:
             group: curves.distinct(members)[0] for group, members in counted.items()
         }
         values, _, _ = measure.values(counted, of)
-    return comparison.of_values(values, loaded, measure.words(of), [*left_out, *notes])
+    notes = [*left_out, *notes]
+    return comparison.of_values(values, loaded, measure.words(of), notes, settings)
 
 
 def numbers(

@@ -16,6 +16,7 @@ from zswarm.errors import ConfigError
 from zswarm.ot.analysis import curves
 from zswarm.ot.analysis.curves import Groups, Series
 from zswarm.ot.analysis.effect_size import a12_interval
+from zswarm.ot.analysis.importance import Importance, of_groups
 from zswarm.system.extras import need
 from zswarm.system.format import plural
 
@@ -86,6 +87,7 @@ class Comparison(NamedTuple):
     untested: str  # why there is no test, or ""
     notes: list[str]  # for the reader of the numbers
     of: str = SEARCH  # what is compared
+    importance: Importance | None = None  # of settings, if there are several groups
 
 
 class _Sample(NamedTuple):
@@ -94,11 +96,17 @@ class _Sample(NamedTuple):
     seconds: np.ndarray
 
 
-def of_series(groups: Groups, by: By, notes: Sequence[str] = ()) -> Comparison:
+def of_series(
+    groups: Groups,
+    by: By,
+    notes: Sequence[str] = (),
+    settings: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Comparison:
     """Compare groups at the largest number of generations (or evaluations) that all runs have.
 
     Args:
         notes: of ``curves.load``, which return among those of the comparison.
+        settings: of each group, by keys, for their importance.
 
     Raises:
         ConfigError: no run finished a generation, there is no such number, or fitness is relative.
@@ -114,11 +122,13 @@ def of_series(groups: Groups, by: By, notes: Sequence[str] = ()) -> Comparison:
     at = min(ends)
     samples = {group: _sample(members, axis, at) for group, members in started.items()}
     rows = [_row(group, sample, started[group]) for group, sample in samples.items()]
-    pairs, kruskal_p, untested = _test(
-        {name: sample.best for name, sample in samples.items()}
-    )
+    values = {name: sample.best for name, sample in samples.items()}
+    pairs, kruskal_p, untested = _test(values)
     notes = [*notes, *_notes(samples, rows, by, ends)]
-    return Comparison(by, at, rows, pairs, kruskal_p, untested, notes)
+    explained = of_groups(settings, values) if settings and len(values) > 1 else None
+    return Comparison(
+        by, at, rows, pairs, kruskal_p, untested, notes, importance=explained
+    )
 
 
 def of_values(
@@ -126,6 +136,7 @@ def of_values(
     groups: Groups,
     of: str,
     notes: Sequence[str] = (),
+    settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Comparison:
     """Compare groups by one number of each run, at the ends of the runs.
 
@@ -133,6 +144,7 @@ def of_values(
         values: by group, (runs,) float64, higher is better.
         groups: with the same names, for the effort.
         of: what the numbers are.
+        settings: of each group, by keys, for their importance.
     """
     samples = {}
     for group, numbers in values.items():
@@ -142,8 +154,9 @@ def of_values(
     rows = [_row(group, sample, groups[group]) for group, sample in samples.items()]
     pairs, kruskal_p, untested = _test(values)
     at = float(max(len(run.best) for runs in groups.values() for run in runs))
+    explained = of_groups(settings, values) if settings and len(values) > 1 else None
     return Comparison(
-        "generations", at, rows, pairs, kruskal_p, untested, list(notes), of
+        "generations", at, rows, pairs, kruskal_p, untested, list(notes), of, explained
     )
 
 

@@ -12,9 +12,11 @@ from zswarm.system.format import duration
 if TYPE_CHECKING:
     from zswarm.ot.analysis.comparison import By, Comparison
     from zswarm.ot.analysis.effect_size import Friedman
+    from zswarm.ot.analysis.importance import Importance
 
 MENU = ("Results", 8)
 PAIRS = 6  # pairs that are described in words
+REST = 0.001  # share of higher interactions from which on they are shown
 
 
 @click.command("compare")
@@ -78,6 +80,8 @@ def command(
             "rows": rows,
             "pairs": [p.as_object() for p in found.pairs],
         }
+        explained = found.importance
+        values["importance"] = None if explained is None else explained.as_object()
         values["friedman"] = None if ranked is None else ranked._asdict()
         tables.print_json(values)
     elif "-" not in (csv, latex):
@@ -165,6 +169,28 @@ def show(found: "Comparison") -> None:
         _show_pairs(found)
     if found.untested:
         tables.paragraph(f"No test: {found.untested}.")
+    if found.importance is not None:
+        _show_importance(found.importance)
+
+
+def _show_importance(found: "Importance") -> None:
+    tables.line("")
+    if found.why:
+        tables.paragraph(f"Importance of settings: not computed, because {found.why}.")
+        return
+    table = tables.table("explained by", ">eta2", ">beyond chance", padding=(0, 1, 0, 0))
+    for effect in found.effects:
+        beyond = "" if effect.epsilon2 is None else f"{effect.epsilon2:.1%}"
+        tables.row(table, effect.name, f"{effect.eta2:.1%}", beyond)
+    if found.rest >= REST:
+        tables.row(table, "interactions of three and more", f"{found.rest:.1%}", "")
+    tables.row(table, "differences between repeats", f"{found.noise:.1%}", "")
+    tables.show(table)
+    tables.paragraph(
+        f"Share of the variance of the {found.runs} runs' fitness that a setting explains (eta "
+        "squared), and without what chance explains (epsilon squared). a x b: how far the effect "
+        "of a depends on b."
+    )
 
 
 def _show_pairs(found: "Comparison") -> None:

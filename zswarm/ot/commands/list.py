@@ -19,8 +19,11 @@ MENU = ("Results", 1)
 
 @click.command("list")
 @click.argument("folder", type=options.PATH, default=suggestions.RUNS)
+@click.option(
+    "--tag", "tags", multiple=True, help="Only runs with this tag; may be repeated."
+)
 @options.json_option
-def command(folder: Path, as_json: bool) -> None:
+def command(folder: Path, tags: tuple[str, ...], as_json: bool) -> None:
     """Show runs, examples and the parts of experiments.
 
     Lists the runs below a folder, the examples, and the installed simulators, representations,
@@ -32,7 +35,7 @@ def command(folder: Path, as_json: bool) -> None:
     # The default does not exist before the first run.
     if folder != suggestions.RUNS and not folder.is_dir():
         raise ConfigError(f"{clean(str(folder))}: no such folder")
-    runs = list_runs(folder)
+    runs = [row for row in list_runs(folder) if {*tags} <= {*row.get("tags", ())}]
     examples = sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
     found = catalog.installed()
     if as_json:
@@ -48,7 +51,7 @@ def command(folder: Path, as_json: bool) -> None:
     if runs:
         _show_runs(runs)
     else:
-        tables.entry("runs", f"none in {folder}")
+        tables.entry("runs", f"none in {folder}{' with this tag' if tags else ''}")
 
 
 def _show_parts(found: Sequence[CatalogEntry]) -> None:
@@ -66,6 +69,7 @@ def _show_parts(found: Sequence[CatalogEntry]) -> None:
 
 
 def _show_runs(runs: list[dict[str, Any]]) -> None:
+    annotated = any(row.get("tags") or row.get("note") for row in runs)
     table = tables.table(
         "run",
         ">generations",
@@ -73,10 +77,12 @@ def _show_runs(runs: list[dict[str, Any]]) -> None:
         ">held-out",
         "last at (local time)",
         "history",
+        *(["tags and note"] if annotated else []),
     )
     for row in runs:
         if "error" in row:
-            tables.row(table, row["run"], "", "", "", "", row["error"])
+            blank = [""] if annotated else []
+            tables.row(table, row["run"], "", "", "", "", row["error"], *blank)
             continue
         at = row["finished_at"]
         at = time.strftime("%Y-%m-%d %H:%M", time.localtime(at)) if at else ""
@@ -86,7 +92,11 @@ def _show_runs(runs: list[dict[str, Any]]) -> None:
             for value in (row["best"], champion["mean"])
         )
         history = row["history_hash"][:12] if row["history_hash"] else "not finished"
-        tables.row(table, row["run"], row["generations"], best, held_out, at, history)
+        cells = [row["run"], row["generations"], best, held_out, at, history]
+        if annotated:
+            words = filter(None, [", ".join(row["tags"]), row["note"].partition("\n")[0]])
+            cells.append(": ".join(words))
+        tables.row(table, *cells)
     tables.show(table)
     for row in runs:
         if row.get("versions"):

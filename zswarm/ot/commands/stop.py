@@ -27,9 +27,13 @@ def command(folder: Path) -> None:
       zswarm-ot stop runs/stadium
     """
     from zswarm.ot.record import control_file
-    from zswarm.ot.record.folder import is_running
+    from zswarm.ot.record.folder import DATABASE, EXPERIMENT, is_running, no_run
 
     shown = clean(str(folder))
+    if not folder.is_dir() or not any(
+        (folder / name).exists() for name in (EXPERIMENT, DATABASE)
+    ):
+        raise ConfigError(f"{no_run(folder)} of a run or study")
     if not is_running(folder):
         raise ConfigError(f"{shown}: not running; zswarm-ot status shows what is")
     control_file.ask(folder, "stop")

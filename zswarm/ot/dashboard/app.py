@@ -17,12 +17,13 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from zswarm.errors import ZswarmError
+from zswarm.config.decode import from_json
+from zswarm.errors import ConfigError, ZswarmError
 from zswarm.ot.dashboard import endpoints, guard
 from zswarm.ot.dashboard.broadcast import Broadcaster, Tab, TooMany
 from zswarm.ot.dashboard.replay_cache import ReplayCache
 from zswarm.ot.dashboard.run_index import RunIndex
-from zswarm.ot.record import control_file
+from zswarm.ot.record import annotations, control_file
 from zswarm.ot.record.reader import Run
 
 SHELL = Path(__file__).parent / "pages" / "index.html"
@@ -44,8 +45,11 @@ def application(index: RunIndex) -> Starlette:
         routes=[
             Mount("/static", StaticFiles(packages=FILES)),
             Route("/api/runs", dashboard.runs),
+            Route("/api/curves", dashboard.curves),
+            Route("/api/importance", dashboard.importance),
             Route(f"{run}/trace", dashboard.replay),
             Route(f"{run}/control/{{request}}", dashboard.control, methods=["POST"]),
+            Route(f"{run}/note", dashboard.note, methods=["POST"]),
             Route(f"{run}/{{name}}", dashboard.answer),
             WebSocketRoute("/ws", dashboard.socket),
             *(Route(path, _shell) for path in PAGES),
@@ -62,6 +66,18 @@ class _Dashboard:
 
     async def runs(self, _: Request) -> Response:
         return _json(await asyncio.to_thread(self.index.rows))
+
+    async def curves(self, request: Request) -> Response:
+        found = await asyncio.to_thread(
+            endpoints.curves, self.index, request.query_params
+        )
+        return _json(found)
+
+    async def importance(self, request: Request) -> Response:
+        found = await asyncio.to_thread(
+            endpoints.explained, self.index, request.query_params
+        )
+        return _json(found)
 
     async def folder(self, request: Request) -> Path:
         """Return the folder of a run; raise LookupError if there is no such run."""
@@ -98,6 +114,16 @@ class _Dashboard:
                 await asyncio.to_thread(control_file.forget, folder)
             case _:
                 raise LookupError("expected pause, continue, drain or stop")
+        return Response(status_code=204)
+
+    async def note(self, request: Request) -> Response:
+        folder, body = await self.folder(request), b""
+        async for part in request.stream():
+            body += part
+            if len(body) > annotations.LARGEST:
+                raise ConfigError(f"note: expected {annotations.LARGEST:,} bytes at most")
+        given = from_json(body, annotations.Annotations, "note")
+        await asyncio.to_thread(annotations.save, folder, given)
         return Response(status_code=204)
 
     async def socket(self, websocket: WebSocket) -> None:

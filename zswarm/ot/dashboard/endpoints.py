@@ -1,5 +1,6 @@
 """The answers about a run, by their names in an address: functions of its record and a query."""
 
+import contextlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -10,10 +11,15 @@ from zswarm import experiment
 from zswarm.config.decode import convert, to_json
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError, UnknownPlugin
+from zswarm.experiment import Experiment
 from zswarm.ot.analysis.caveats import caveats
 from zswarm.ot.analysis.csv import to_csv
+from zswarm.ot.analysis.grouping import flat
+from zswarm.ot.analysis.importance import importance
 from zswarm.ot.dashboard import downsample
 from zswarm.ot.dashboard.rows import read_events
+from zswarm.ot.dashboard.run_index import RunIndex
+from zswarm.ot.record import annotations
 from zswarm.ot.record.opening import NOT_DECISIVE
 from zswarm.ot.record.reader import Run
 from zswarm.plugins import registry as plugins
@@ -23,6 +29,7 @@ from zswarm.system.text import clean
 Query = Mapping[str, str]
 Answer = Callable[[Run, Query], Any]
 EVENTS = 300  # in an answer
+RUNS = 1000  # in a request for curves
 GENES = 2000  # numbers of a genome that are shown
 EDGES = 2000  # of a network that are drawn: the strongest
 LONGEST_NUMBER = 16  # digits of 2^53
@@ -65,12 +72,13 @@ def about(run: Run, _: Query) -> dict[str, Any]:
             f"{clean(line)}\n" for line in experiment.to_toml(complete).splitlines()
         ),
         "began": meta.get("created_at"),
+        **annotations.shown(run.folder),
         "sensors": getattr(champion, "sensors", []),
         "actuators": getattr(champion, "actuators", []),
     }
 
 
-def settings(run: Run, _: Query) -> dict[str, str]:
+def settings(complete: Experiment) -> dict[str, str]:
     """Return the settings that the history depends on, by their keys in an experiment file."""
     found: dict[str, str] = {}
 
@@ -85,10 +93,39 @@ def settings(run: Run, _: Query) -> dict[str, str]:
                 item, path if key == "settings" else f"{path}.{key}" if path else str(key)
             )
 
-    for key, value in msgspec.to_builtins(run.experiment).items():
+    for key, value in msgspec.to_builtins(complete).items():
         if key not in NOT_DECISIVE or key == "generations":
             flatten(value, key)
     return found
+
+
+def curves(index: RunIndex, query: Query) -> dict[str, Any]:
+    """Return the curve, settings and label of each of several runs that can be read, by its id."""
+    points = max(2, number(query, "points", downsample.MOST, downsample.MOST))
+    found: dict[str, Any] = {}
+    for id_ in query.get("runs", "").split()[:RUNS]:
+        folder, complete = index.folder(id_), index.experiment(id_)
+        if folder is not None and complete is not None:
+            with contextlib.suppress(ConfigError):  # the list of runs says why
+                curve = downsample.curve(Run(folder), points)
+                found[id_] = {
+                    "curve": curve,
+                    "settings": settings(complete),
+                    "label": clean(complete.label),
+                }
+    return found
+
+
+def explained(index: RunIndex, query: Query) -> dict[str, Any]:
+    """Return how much each setting explains of the differences between some runs' fitness."""
+    rows = {row["id"]: row for row in index.rows()}
+    settings, values = [], []
+    for id_ in query.get("runs", "").split()[:RUNS]:
+        complete, best = index.experiment(id_), rows.get(id_, {}).get("best")
+        if complete is not None and best is not None:
+            settings.append(flat(complete))
+            values.append(best / complete.problem.trials)
+    return importance(settings, values).as_object()
 
 
 def events(run: Run, query: Query) -> list[dict[str, Any]]:
@@ -181,7 +218,6 @@ def _points(find: Callable[[Run, int], Any], most: int) -> Answer:
 BY_NAME: dict[str, Answer] = {
     "about": about,
     "caveats": lambda run, _: caveats(run),
-    "settings": settings,
     "curve": _points(downsample.curve, downsample.MOST),
     "spread": _points(downsample.spread, downsample.SOME),
     "statistics": _points(downsample.statistics, downsample.SOME),

@@ -44,7 +44,7 @@ def serve(
     token = secrets.token_urlsafe(24)
     closed = host not in LOOPBACK or bool(allowed)  # other machines may reach it
     names = [*allowed, name] if closed else allowed
-    app = Guard(application(RunIndex(folders)), hosts=names, token=token, closed=closed)
+    app = Guard(application(_index(folders)), hosts=names, token=token, closed=closed)
     config = uvicorn.Config(
         app,
         log_level="warning",
@@ -78,6 +78,13 @@ def serve(
 
         threading.Thread(target=watch, name="stdin", daemon=True).start()
     server.run(sockets=[listening])
+
+
+def _index(folders: Sequence[Path]) -> RunIndex:
+    """Return the index of runs, which is read while the browser starts."""
+    index = RunIndex(folders)
+    threading.Thread(target=index.rows, name="index", daemon=True).start()
+    return index
 
 
 def _listen(host: str, port: int | None) -> socket.socket:

@@ -9,7 +9,7 @@ import msgspec
 
 from zswarm.controller import HeldOut
 from zswarm.errors import ConfigError
-from zswarm.ot.record import control_file, epochs
+from zswarm.ot.record import annotations, control_file, epochs
 from zswarm.ot.record.database import UNREADABLE, describe, outage, read_only
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT, is_running, no_run
 from zswarm.ot.record.reader import Run
@@ -111,6 +111,7 @@ def summary(folder: Path) -> dict[str, Any]:
         "finished_at": at,
         "history_hash": clean(history) if history else None,
         "versions": epochs.mark(epochs.decoded(texts), generations),
+        **annotations.shown(folder),
     }
 
 
@@ -122,7 +123,7 @@ def status(folder: Path, *, finished: bool) -> str:
 
 
 def stamp(folder: Path) -> tuple[tuple[int, int] | None, ...]:
-    """Return a value that changes when the record or the experiment is written."""
+    """Return a value that changes when the record, the experiment or the note is written."""
 
     def changed(path: Path) -> tuple[int, int] | None:
         try:
@@ -131,9 +132,8 @@ def stamp(folder: Path) -> tuple[tuple[int, int] | None, ...]:
             return None
         return found.st_mtime_ns, found.st_size
 
-    return tuple(
-        changed(folder / name) for name in (DATABASE, f"{DATABASE}-wal", EXPERIMENT)
-    )
+    files = (DATABASE, f"{DATABASE}-wal", EXPERIMENT, annotations.FILE)
+    return tuple(changed(folder / name) for name in files)
 
 
 def _natural(name: str) -> list[tuple[bool, int, str]]:

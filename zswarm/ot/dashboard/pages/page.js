@@ -51,7 +51,7 @@ export class SortedTable {
   show(rows) {
     this.rows = rows;
     const [key, direction] = this.order, words = this.filter.value.toLowerCase();
-    const found = rows.filter((row) => Object.values(row).some((value) => (
+    const found = rows.filter((row) => Object.values(row).flat().some((value) => (
       typeof value === 'string' && value.toLowerCase().includes(words))));
     this.found = found;
     found.sort((a, b) => compare(a[key], b[key], direction) || compare(a.id, b.id, 1));
@@ -208,6 +208,8 @@ setInterval(() => {
 export const query = new URLSearchParams(location.search);
 export const run = query.get('run') ?? '';
 
+export const TAKES_TOKEN = 'takes the token: open the address that the dashboard printed';
+
 export function address(page, values = {}) {
   return `${page}?${new URLSearchParams({ run, ...values })}`;
 }
@@ -232,9 +234,9 @@ export function token() {
 // ---- requests
 
 // Raise an Error for what the dashboard refused; if it does not answer, fetch raises a TypeError.
-export async function request(path, method = 'GET') {
+export async function request(path, method = 'GET', body = undefined) {
   const headers = token() ? { Authorization: `Bearer ${token()}` } : {};
-  const answer = await fetch(path, { method, headers });
+  const answer = await fetch(path, { method, headers, body });
   if (!answer.ok) throw new Error((await answer.text()).trim() || `${answer.status}`);
   return answer;
 }

@@ -1,7 +1,8 @@
 // One run: its progress, curves, events, champions and experiment, and the requests that it takes.
+import { annotationsCard } from './annotations.js';
 import { Chart, nearest } from './chart.js';
 import { follow } from './live.js';
-import { address, ago, api, ask, badge, between, button, card, choice, clock, copyButton, download,
+import { TAKES_TOKEN, address, ago, api, ask, badge, between, button, card, choice, clock, copyButton, download,
   duration, fill, h, n, note, number, request, row, rowHead, run, section, setText, showError, table,
   throttled, token, two, unlessGone } from './page.js';
 
@@ -47,6 +48,7 @@ class RunPage {
     });
     this.panel = card('What was run');
     this.champions = h('div');
+    this.annotations = h('div'); // made once: what is typed there stays
     this.charts = Object.entries(CHARTS).map(([prefix, label]) => {
       const chart = new Chart({ label, height: 200 }), element = card(label, chart.element);
       element.hidden = true; // until the optimizer has such numbers
@@ -54,7 +56,7 @@ class RunPage {
     });
     fill(view, this.buildHead(), this.buildFitness(), two(...this.charts.map(({ element }) => element)),
       two(h('div', { class: 'stack' }, this.buildEvents(), card('Champions', this.champions)),
-        this.panel));
+        h('div', { class: 'stack' }, this.annotations, this.panel)));
   }
 
   buildHead() {
@@ -185,7 +187,7 @@ class RunPage {
       const [text, kind, question] = CONTROLS[name];
       return button(text, () => this.control(name, question), {
         class: kind, disabled: !allowed,
-        title: allowed ? null : 'takes the token: open the address that the dashboard printed' });
+        title: allowed ? null : TAKES_TOKEN });
     }));
   }
 
@@ -216,6 +218,7 @@ class RunPage {
     const { experiment, facts, name } = this.about;
     document.title = `${name} · zswarm`;
     setText(this.title, name);
+    if (!this.annotations.childElementCount) fill(this.annotations, annotationsCard(this.about));
     fill(this.panel, h('h2', { text: 'What was run' }),
       row(copyButton('copy experiment', experiment), copyButton('copy seed', facts.seed),
         facts.history && copyButton('copy history hash', facts.history)),

@@ -1,13 +1,15 @@
 // All runs: a table, and the curves of the chosen ones, overlaid or as median and quartiles.
 import { Chart, nearest } from './chart.js';
+import { showImportance } from './importance.js';
 import { follow } from './live.js';
-import { SortedTable, ago, api, ask, badge, between, button, card, choice, fill, h, n, number, row,
+import { SortedTable, ago, ask, badge, between, button, card, choice, fill, h, n, number, row,
   rowHead, table, tr, unlessGone } from './page.js';
 
 const CHOSEN = 'zswarm.chosen';
 const MOST = 14; // curves at once; medians are of all
 const FRESH_MS = 3000; // between requests for a curve
-const POINTS = 200; // of medians and quartiles
+const POINTS = 200; // of medians and quartiles, and of many curves
+const AT_ONCE = 50; // runs in a request for curves
 // Settings in which runs of one median may differ.
 const FREE = new Set(['seed', 'generations']);
 const HEADS = [
@@ -49,6 +51,9 @@ class RunsPage {
     this.compared = h('div');
     this.differences = h('details', { hidden: true, ontoggle: () => this.compare() },
       h('summary', { text: 'what differs' }), this.compared);
+    this.explained = h('div');
+    this.importance = h('details', { hidden: true, ontoggle: () => this.explain() },
+      h('summary', { text: 'importance of settings' }), this.explained);
     fill(view, h('h1', { text: 'Runs' }), this.buildCurves(), card('All runs',
       between(row(this.table.filter, button('tick shown', () => this.tick(this.table.found)),
         button('none', () => this.choose([], false))), this.table.count),
@@ -109,21 +114,24 @@ class RunsPage {
           choose('Axis', 'scale', [['linear', 'linear'], ['log', 'logarithmic']]),
           choose('Runs', 'grouped', [['each', 'each run'], ['together', 'median and quartiles']])),
         row(button('PNG', () => this.png()))),
-      this.figures, this.left, this.differences);
+      this.figures, this.left, this.importance, this.differences);
   }
 
-  // Draw runs, or none but these.
+  // Draw runs, or none but these, and have the address reproduce it.
   choose(ids, more) {
-    this.chosen = new Set([...(more ? this.chosen : []), ...ids]);
-    sessionStorage.setItem(CHOSEN, JSON.stringify([...this.chosen]));
+    this.keep([...(more ? this.chosen : []), ...ids]);
     this.link();
+  }
+
+  keep(ids) {
+    this.chosen = new Set(ids);
+    sessionStorage.setItem(CHOSEN, JSON.stringify([...this.chosen]));
     for (const box of this.table.body.querySelectorAll('input')) {
       box.checked = this.chosen.has(box.value);
     }
     this.load();
   }
 
-  // Have the address reproduce what is shown.
   link() {
     const found = new URLSearchParams({ ...this.shown, runs: [...this.chosen].join(' ') });
     history.replaceState(null, '', `?${found}`);
@@ -142,7 +150,9 @@ class RunsPage {
         this.choose(box.checked ? [id] : [], true);
       } });
     const link = h('a', { href: `/run?${new URLSearchParams({ run: id })}`, text: name });
-    return tr(box, h('td', { class: 'name' }, link), badge(run.status),
+    const marks = run.tags.length || run.note ? h('div', { class: 'small dim' },
+      ...run.tags.map((text) => h('span', { class: 'tag', text })), run.note.split('\n')[0]) : null;
+    return tr(box, h('td', { class: 'name' }, link, marks), badge(run.status),
       [`${number(generation)} / ${number(generations)}`, 'n'], n(run.best), n(run.held_out),
       n(run.evaluations), run.simulator, run.representation, run.optimizer, [String(run.seed), 'n'],
       h('td', { class: 'n' }, ago(run.at)));
@@ -160,32 +170,45 @@ class RunsPage {
 
   async load() {
     const now = performance.now();
-    await Promise.all(this.drawn().map(async ({ id, generation }) => {
+    const drawn = this.drawn(), needed = drawn.filter(({ id, generation }) => {
       const have = this.curves.get(id) ?? { asked: -Infinity };
-      if (have.generation === generation || now - have.asked <= FRESH_MS) return;
+      if (have.generation === generation || now - have.asked <= FRESH_MS) return false;
       this.curves.set(id, { ...have, generation, asked: now });
-      try {
-        this.curves.get(id).columns = await ask(api('curve', { points: 600 }, id));
-        await this.settingsOf(id);
-      } catch { /* the table says why */ }
-    }));
+      return true;
+    });
+    const points = drawn.length > MOST ? POINTS : 600, parts = [];
+    for (let i = 0; i < needed.length; i += AT_ONCE) parts.push(needed.slice(i, i + AT_ONCE));
+    await unlessGone(() => Promise.all(parts.map(async (part) => {
+      const runs = part.map(({ id }) => id).join(' ');
+      const found = await ask(`/api/curves?${new URLSearchParams({ points, runs })}`);
+      for (const [id, { curve, label, settings }] of Object.entries(found)) {
+        Object.assign(this.curves.get(id), { columns: curve, label });
+        this.settings.set(id, settings);
+      }
+    })));
     this.draw();
+    this.explain();
     this.compare();
   }
 
-  async settingsOf(id) {
-    if (!this.settings.has(id)) this.settings.set(id, await ask(api('settings', {}, id)));
-    return this.settings.get(id);
+  // Show which settings explain the fitness of the chosen runs, all of one problem.
+  explain() {
+    const runs = [...this.chosen].map((id) => this.runs.get(id)).filter((row) => row && !row.error);
+    const problems = new Set(runs.map(({ simulator }) => simulator));
+    this.importance.hidden = runs.length < 2 || problems.size > 1;
+    if (this.importance.hidden || !this.importance.open) return;
+    const key = runs.map(({ id, best }) => `${id} ${best}`).join();
+    if (key === this.explainedOf) return;
+    this.explainedOf = key;
+    showImportance(this.explained, runs);
   }
 
   // Show the settings in which the chosen runs differ, and their results.
-  async compare() {
+  compare() {
     const runs = this.drawn();
     this.differences.hidden = runs.length < 2;
     if (!this.differences.open || this.differences.hidden) return;
-    const asked = () => Promise.all(runs.map(({ id }) => this.settingsOf(id)));
-    const each = await unlessGone(asked);
-    if (!each) return;
+    const each = runs.map(({ id }) => this.settings.get(id) ?? {});
     const differs = (key) => each.some((one) => one[key] !== each[0][key]);
     const keys = [...new Set(each.flatMap(Object.keys))].filter(differs);
     const rows = [
@@ -207,6 +230,7 @@ class RunsPage {
       .filter(([, columns]) => columns?.generation.length)
       .map(([row, columns]) => ({ name: pathOf(row), x: along(columns), y: columns[what],
         steps: what === 'best', settings: this.settings.get(row.id) ?? {},
+        label: this.curves.get(row.id).label,
         simulator: row.simulator }));
     const problems = new Set(all.map(({ simulator }) => simulator));
     if (!problems.size) problems.add([...this.charts.keys()][0] ?? '');
@@ -229,7 +253,7 @@ class RunsPage {
     this.showStudies(rows);
     if (!sessionStorage.getItem(CHOSEN) && rows.length) {
       const last = rows.filter((row) => row.generation).sort((a, b) => (b.at ?? 0) - (a.at ?? 0));
-      this.choose(last.slice(0, 5).map((row) => row.id), true);
+      this.keep(last.slice(0, 5).map((row) => row.id));
     } else if (message.runs || message.gone) {
       this.load();
     }
@@ -253,7 +277,7 @@ function medians(all) {
     && all.some(({ settings }) => settings[key] !== first[key]));
   return groups.flatMap((runs, i) => {
     if (runs.length < 2) return runs;
-    const values = differs
+    const values = runs[0].label || differs
       .map((key) => `${key.split('.').at(-1)} ${runs[0].settings[key] ?? '–'}`).join(', ');
     const words = groups.length > 1 && values ? `: ${values}` : '';
     return together(runs, words, `--c${(i % 7) + 1}`);
