@@ -159,3 +159,13 @@ def test_the_names_in_a_plugin_are_shown_as_text() -> None:
         hostile,
         hostile + "'",
     ]
+
+
+def test_agents_are_drawn_over_other_bodies() -> None:
+    """They come first in a frame, and last in the file, as the one that covers the other."""
+    bodies = [Body("robot", 0.5, 0.5, 0.1), Body("black floor", 0.5, 0.5, 0.4)]
+    drawn = svg([Panel("a trial", [Frame(1.0, 1.0, [], bodies)] * 2)])
+    moving, still = drawn.split('<g class="still">')
+    for part in (moving, still):
+        circles = re.findall(r"<circle [^>]*r=\"(\d+)\"", part)
+        assert circles == ["168", "42"]

@@ -94,7 +94,8 @@ class _Painter:
         draw.rectangle((0, self.top, self.width - 1, below - 1), outline=EDGE)
         for kind, x, row in self.legend:
             y = below + FINER * (LINE * row + 6)
-            draw.rectangle((x, y, x + FINER * 11, y + FINER * 11), self.colours[kind])
+            box = (x, y, x + FINER * 11, y + FINER * 11)
+            draw.rectangle(box, self.colours[kind], EDGE)
             draw.text((x + FINER * 16, y - FINER * 3), clean(kind), INK, self.font)
         size = (self.width // FINER, self.height // FINER)
         return image.resize(size, self.pillow.Resampling.LANCZOS)

@@ -57,7 +57,7 @@ def svg(panels: Sequence[Panel]) -> str:
     ):
         y = top + row * LINE
         box = f'x="{x:g}" y="{y - 10:g}" width="11" height="11" rx="2"'
-        legend += f'<rect {box} fill="{colour_of[kind]}"/>'
+        legend += f'<rect {box} fill="{colour_of[kind]}" stroke="#bbb"/>'
         legend += f'<text x="{x + 16:g}" y="{y:g}">{escape(kind)}</text>'
         full = y + 0.6 * LINE
     size = f'viewBox="0 0 {width:g} {full:g}" width="{width:g}" height="{full:g}"'
@@ -114,7 +114,8 @@ class _Film:
             at = f'x="{place.x:g}" y="{place.y:g}"'
             size = f'width="{place.width:g}" height="{place.height:g}"'
             parts.append(f'<rect {at} {size} fill="{self.colours[place.kind]}"/>')
-        ways = list(zip(*(frame.bodies for frame in self.frames), strict=True))
+        # Agents come first, and are drawn over everything else.
+        ways = list(zip(*(frame.bodies for frame in self.frames), strict=True))[::-1]
         lines = list(zip(*(frame.lines for frame in self.frames), strict=True))
         moving = [*map(self._moving, ways), *map(self._line, lines)]
         moving += self._labels([frame.labels for frame in self.frames])
