@@ -16,6 +16,7 @@ import zswarm
 from zswarm import experiment, router
 from zswarm.config import settings_docs
 from zswarm.ot import cli as ot
+from zswarm.ot.replay import appearance
 from zswarm.plugins import registry as plugins
 from zswarm.robots.profiles import profile as profiles
 from zswarm.security import cli as security
@@ -35,6 +36,7 @@ The `--help` of each program and command, as `make reference` writes it. [comman
 explains them.
 """
 PROFILES = re.compile(r"^\| profile \| ROS \|.*\n(?:\|.*\n)+", re.M)
+KINDS = re.compile(r"^\| word in a kind \|.*\n(?:\|.*\n)+", re.M)
 TREE = re.compile(r"^```text\nzswarm/ .*?^```\n", re.M | re.S)
 TABLE = re.compile(r"^\| key \| type \| default \| meaning \|\n(?:\|.*\n)+", re.M)
 
@@ -148,6 +150,25 @@ def profile_table() -> str:
     return "\n".join(lines) + "\n"
 
 
+def own_simulator_page() -> str:
+    """Return docs/own-simulator.md with the table of kinds and colours."""
+    text = (DOCS / "own-simulator.md").read_text(encoding="utf-8")
+    return KINDS.sub(lambda _: kinds_table(), text, count=1)
+
+
+def kinds_table() -> str:
+    """Return the colours that words in a kind state, then those of the palette."""
+    lines = ["| word in a kind | colour | light | dark |", "| --- " * 4 + "|"]
+    words: dict[str, list[str]] = {}
+    for word, name in appearance.WORDS.items():
+        words.setdefault(name, []).append(f"`{word}`")
+    for name, (light, dark) in appearance.COLOURS.items():
+        palette = ["(palette)"] if name in appearance.PALETTE else []
+        said = ", ".join(words.get(name, []) + palette)
+        lines.append(f"| {said} | `{name}` | `{light}` | `{dark}` |")
+    return "\n".join(lines) + "\n"
+
+
 def architecture_page() -> str:
     """Return docs/architecture.md with the tree of the package."""
     text = (DOCS / "architecture.md").read_text(encoding="utf-8")
@@ -172,6 +193,7 @@ def pages() -> dict[Path, str]:
         "architecture.md": architecture_page(),
         "help.md": help_page(),
         "experiment.md": experiment_page(),
+        "own-simulator.md": own_simulator_page(),
         "profiles.md": profiles_page(),
     }
     return {DOCS / name: text for name, text in made.items()}

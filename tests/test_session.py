@@ -146,23 +146,6 @@ class Panic(BaseException):
     """What a panic in zenoh is in Python: no ``Exception``."""
 
 
-def test_a_call_that_fails_is_reported_and_the_sender_continues() -> None:
-    failed: list[BaseException] = []
-    sent: list[int] = []
-    sender = session.Sender("peer", failed.append)
-
-    def panic() -> None:
-        raise Panic("no memory")
-
-    for number in range(3):
-        assert sender.send(panic)
-        assert sender.send(lambda number=number: sent.append(number))
-    sender.close(60.0)
-    assert sent == [0, 1, 2]
-    assert [repr(error) for error in failed] == ["Panic('no memory')"] * 3
-    assert not sender._thread.is_alive()
-
-
 class Panicking:
     """A session that fails when a query is sent."""
 

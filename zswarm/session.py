@@ -8,7 +8,6 @@ finds; or both dial a router. docs/architecture.md, "The link", explains the val
 import contextlib
 import json
 import os
-import queue
 import resource
 import threading
 from collections.abc import Callable, Sequence
@@ -39,7 +38,6 @@ OTHER_BYTES = 64 << 10  # of a message of zenoh's, besides ours: its key, for ex
 RETRY_MS = 2000  # between attempts to dial a given endpoint, at most; and with keys:
 REFUSED_RETRY_MS = 30_000  # each refused handshake delays others there by 0.1 s
 CLOSING_S = 1.0  # for a close that a dead link blocks
-QUEUE = 10_000  # waiting calls of a sender
 
 # The answer to an offer is sent as its query was, and by one thread for all: it must not wait for
 # an optimizer that takes no answers.
@@ -322,54 +320,3 @@ def ask(
     except BaseException:
         on_end()
         raise
-
-
-class Sender:
-    """A thread that sends to one peer. A send to a dead link blocks, and here delays no others.
-
-    Args:
-        failed: takes what a call raised; the thread continues with the next one.
-    """
-
-    def __init__(self, name: str, failed: Callable[[BaseException], None]) -> None:
-        self._failed = failed
-        self._calls: queue.Queue[Callable[[], None] | None] = queue.Queue(QUEUE)
-        self._thread = threading.Thread(
-            target=self._work, name=f"send-{name}", daemon=True
-        )
-        self._thread.start()
-
-    def send(self, call: Callable[[], None], *, at_once: bool = False) -> bool:
-        """Queue a call; return False if the queue is full.
-
-        Args:
-            at_once: the call does not block: make it in this thread if the queue is empty.
-        """
-        if at_once and not self._calls.unfinished_tasks:
-            try:
-                call()
-            except (KeyboardInterrupt, SystemExit):
-                raise
-            except BaseException as error:
-                self._failed(error)
-            return True
-        try:
-            self._calls.put_nowait(call)
-        except queue.Full:
-            return False
-        return True
-
-    def close(self, timeout_s: float = 0.0) -> None:
-        """End after the queued calls, and wait for it up to a timeout."""
-        if self.send(None):  # type: ignore[arg-type]  # the end mark
-            self._thread.join(timeout_s)
-
-    def _work(self) -> None:
-        while (call := self._calls.get()) is not None:
-            try:
-                call()
-            except BaseException as error:  # a panic in zenoh is not an Exception
-                with contextlib.suppress(Exception):  # it has to be reported, but once
-                    self._failed(error)
-            finally:
-                self._calls.task_done()

@@ -25,7 +25,7 @@ MISSIONS: list[dict[str, Any]] = [
     *({"mission": "generated", "mission_seed": seed} for seed in (0, 3, 5, 9)),
 ]
 COLUMNS = 4
-FLOOR = {"black floor": "black", "white floor": "white"}
+FLOOR = {"black floor": "black", "grey floor": "#bbbbbb", "white floor": "white"}
 
 
 def main() -> None:

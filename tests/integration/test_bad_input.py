@@ -191,7 +191,7 @@ def test_a_port_in_use_is_named(tmp_path: Path) -> None:
         ("capacity = 'two'", "capacity: expected int"),
         ("capcity = 2", "did you mean 'capacity'"),
         ("=", "daemon.toml"),
-        ("slot_memory_mb = 100", "slot_memory_mb: expected 0 or at least 256, not 100"),
+        ("slot_memory_mb = 100", "slot_memory_mb: expected 0 or at least 512, not 100"),
     ],
 )
 def test_a_damaged_daemon_configuration_exits_with_78(

@@ -178,7 +178,7 @@ def test_uniform_numbers_drawn_ahead_are_those_of_the_stream() -> None:
     """Column by column, also those that are skipped."""
     state, numbers = np.array([5], np.uint64), np.zeros((3, 4))
     with np.errstate(over="ignore"):
-        draws.draw_uniforms(state, numbers, 3)
+        draws.draw_uniforms(state, numbers, 3, numbers.shape[1])
         assert state[0] == 5
         draws.skip(state, 12)
         following = draws.draw_uniform(state)

@@ -223,13 +223,13 @@ def draw_uniform(state):
 
 
 @inline
-def draw_uniforms(state, numbers, stride):
+def draw_uniforms(state, numbers, stride, columns):
     """Draw as ``draw_uniform``: row ``r`` and column ``c`` is number ``stride c + r``.
 
     Args:
         numbers: (stride, at least columns) float64.
+        columns: to be drawn.
     """
-    columns = numbers.shape[1]
     for row in range(stride):
         for column in range(columns):
             ahead = np.uint64(stride * column + row + 1) * np.uint64(GAMMA)

@@ -25,7 +25,7 @@ MAX_SECONDS = 1e9
 MIN_SECONDS = 1e-9  # of a time that is not 0: it is divided by
 MAX_OUTCOME = 1e300  # absolute value: sums of many stay finite
 # Per slot, that a run may ask for or a server give: with less, there is no room for a compiler.
-MIN_MEMORY_MB = 256
+MIN_MEMORY_MB = 512  # compiling the largest kernel, that of e-pucks, takes 350
 MAX_LABELS = 64  # of a server
 LABEL_NAME = "[a-z][a-z0-9_.-]{0,62}"
 LABEL_VALUE = "[A-Za-z0-9][A-Za-z0-9_.:+-]{0,62}"

@@ -24,10 +24,11 @@ from zswarm.ss.local.control import LocalQuery
 from zswarm.ss.slots import events
 from zswarm.ss.workers.remote import FullPipe, Unheard
 from zswarm.system import log
+from zswarm.system.sending import Sender, Threads
 from zswarm.system.text import clean
 
 ANSWER_S = 2.0  # for the optimizer to answer; zenoh keeps a kilobyte per query as long
-MAX_SENDERS = 256  # runs that have a thread for answers
+MAX_SENDERS = 256  # runs to which answers wait
 # Items of peers, and bytes of their queries, that wait; further ones are dropped unanswered. And
 # how many of them may be one user's, or of no user: offers and malformed keys.
 MAX_INBOX, MAX_INBOX_BYTES = 10_000, 256 << 20
@@ -180,7 +181,8 @@ class Presence(msgspec.Struct, eq=False):
     _session: zenoh.Session | None = None
     _tokens: list[zenoh.LivelinessToken] = []  # one for each version of the protocol
     _older: dict[str, str] = {}  # runs that speak an older version, and which
-    _senders: dict[str, session.Sender] = {}
+    _senders: dict[str, Sender] = {}
+    _threads: Threads = msgspec.field(default_factory=Threads)
 
     def open(self, listen: list[str], reach: Reach, *, visible: bool) -> None:
         """Open the session; declare the liveliness token if the server is to be visible."""
@@ -210,6 +212,7 @@ class Presence(msgspec.Struct, eq=False):
         """Close the session."""
         if self._session is not None:
             session.close(self._session)
+        self._threads.close()
         self._session = None
         self._tokens.clear()
 
@@ -251,33 +254,31 @@ class Presence(msgspec.Struct, eq=False):
         return events.Asked(id(query), key.user, key.run, message)
 
     def answer(self, query: PeerQuery, body: bytes) -> None:
-        """Answer in the thread of the run: a send into a dying link blocks."""
+        """Answer in another thread: a send into a dying link blocks."""
         body = versions.sent(query.version, body)
         if not self._sender(query.run).send(lambda: query.answer(body)):
             log.warning("answer_dropped", run=query.run)
             query.drop()
 
-    def _sender(self, run: str) -> session.Sender:
+    def _sender(self, run: str) -> Sender:
         if run not in self._senders:
             if len(self._senders) >= MAX_SENDERS:
-                oldest = next(iter(self._senders))
-                self._senders.pop(oldest).close()
-            self._senders[run] = session.Sender(run, partial(self._not_sent, run))
+                del self._senders[next(iter(self._senders))]
+            self._senders[run] = Sender(self._threads, partial(self._not_sent, run))
         return self._senders[run]
 
     def _not_sent(self, run: str, error: BaseException) -> None:
         log.error("sending_failed", run=run, reason=clean(repr(error)))
 
     def forget(self, run: str) -> None:
-        """End the thread of a run that is gone."""
+        """Forget a run that is gone."""
         self._older.pop(run, None)
-        if (sender := self._senders.pop(run, None)) is not None:
-            sender.close()
+        self._senders.pop(run, None)
 
     def finish(self, timeout_s: float) -> None:
         """Give the answers that are on their way so long."""
         for sender in self._senders.values():
-            sender.close(timeout_s)
+            sender.wait(timeout_s)
 
     # ---- questions
 

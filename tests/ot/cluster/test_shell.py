@@ -57,12 +57,8 @@ def wait_until(condition: Callable[[], bool], what: str) -> None:
         time.sleep(0.01)
 
 
-def sending_to(server: str) -> bool:
-    return any(thread.name == f"send-{server}" for thread in threading.enumerate())
-
-
 def test_the_sender_to_a_server_ends_with_it() -> None:
-    """A restarted server is a new one: without this, a long run would accumulate threads."""
+    """A restarted server is a new one: without this, a long run would accumulate senders."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     listening, _ = session.open_server([endpoint], Reach([], multicast=False))
     with Cluster(
@@ -70,11 +66,12 @@ def test_the_sender_to_a_server_ends_with_it() -> None:
         terms(slots=1),
         reach=Reach([endpoint], multicast=False),
         arbitrate=no_dispute,
-    ):
+    ) as cluster:
+        senders = cluster._links.senders
         token = listening.liveliness().declare_token(keys.alive("default", "lab-1"))
-        wait_until(lambda: sending_to("lab-1"), "a server is asked")
+        wait_until(lambda: "lab-1" in senders, "a server is asked")
         token.undeclare()
-        wait_until(lambda: not sending_to("lab-1"), "its sender ends")
+        wait_until(lambda: "lab-1" not in senders, "its sender ends")
     session.close(listening)
 
 
@@ -122,7 +119,7 @@ def test_an_answer_counts_when_it_comes_not_when_the_query_ends(
     session.close(listening)
 
 
-# ---- batches that go without a server's own thread
+# ---- batches that go in the thread that decides
 
 
 def interrupted(*_: object, **__: object) -> None:
@@ -175,7 +172,7 @@ class Asking:
     def idle(self) -> None:
         senders = self.cluster._links.senders.values()
         wait_until(
-            lambda: not any(sender._calls.unfinished_tasks for sender in senders),
+            lambda: not any(sender.busy for sender in senders),
             "nothing is on the way",
         )
 
@@ -201,11 +198,11 @@ class Asking:
 
     def close(self) -> None:
         for sender in self.cluster._links.senders.values():
-            sender.close()
+            sender.wait(60.0)
 
 
 @pytest.mark.parametrize(
-    ("through_router", "second"), [(False, "this one"), (True, "send-lab-2")]
+    ("through_router", "second"), [(False, "this one"), (True, "send")]
 )
 def test_a_batch_is_sent_at_once_if_its_link_has_no_unanswered_batch(
     through_router: bool, second: str
@@ -219,11 +216,11 @@ def test_a_batch_is_sent_at_once_if_its_link_has_no_unanswered_batch(
     asking.close()
 
 
-def test_a_batch_waits_for_the_servers_thread_while_one_is_unanswered() -> None:
+def test_a_batch_waits_for_another_thread_while_one_is_unanswered() -> None:
     asking = Asking()
     asking.join("lab-1")
     asking.work(2)
-    assert asking.batches == [("lab-1", "this one"), ("lab-1", "send-lab-1")]
+    assert asking.batches == [("lab-1", "this one"), ("lab-1", "send")]
     asking.close()
 
 
@@ -237,7 +234,7 @@ def test_a_server_that_returned_owes_no_answers_and_has_no_batches() -> None:
     asking.join("lab-1")
     asking.batches.clear()
     asking.work(2)
-    assert asking.batches == [("lab-1", "this one"), ("lab-1", "send-lab-1")]
+    assert asking.batches == [("lab-1", "this one"), ("lab-1", "send")]
     asking.close()
 
 
@@ -322,7 +319,7 @@ def test_a_server_for_which_no_thread_can_be_started_is_noted(
     def fails(*_: object) -> None:
         raise RuntimeError("can't start new thread")
 
-    monkeypatch.setattr(session, "Sender", fails)
+    monkeypatch.setattr(links, "Sender", fails)
     asking.feed(Seen("lab-1"))
     answer = asking.cluster._inbox.get(timeout=60)
     assert isinstance(answer, Answered)

@@ -42,10 +42,10 @@ def typed(*arguments: str) -> Result:
 
 def test_a_page_contains_the_trace_and_requests_nothing(folder: Path) -> None:
     found = trace(Run(folder))
-    page = replay.page(found, HOSTILE)
-    assert page.count("<script") == 2
+    page = replay.page([replay.Side([replay.played(found)])], HOSTILE)
+    assert page.count("<script") == 3
     assert "alert(1)</script>" not in page
-    (packed,) = re.findall(r'id="trace">([^<]*)</script>', page)
+    (packed,) = re.findall(r'class="trace">([^<]*)</script>', page)
     assert base64.b64decode(packed) == encode(found)
     assert not re.findall(
         r"(?:src|href)\s*=\s*[\"'](?!data:,)|https?://(?!www\.w3\.org/2000/svg)|@import|url\(",

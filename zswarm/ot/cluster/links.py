@@ -27,6 +27,7 @@ from zswarm.protocol.messages import Evaluate, Fault, Outcomes
 from zswarm.security import refusals
 from zswarm.security.keyring import Keyring
 from zswarm.session import Reach
+from zswarm.system.sending import Sender, Threads
 
 if TYPE_CHECKING:
     # It loads the compiler.
@@ -60,7 +61,8 @@ class Links(msgspec.Struct, eq=False):
     sessions: list[zenoh.Session] = []
     # The session that saw a server; written before the server is Seen.
     home: dict[str, zenoh.Session] = {}
-    senders: dict[str, session.Sender] = {}
+    senders: dict[str, Sender] = {}
+    _threads: Threads = msgspec.field(default_factory=Threads)
     own: set[str] = set()  # this machine's servers whose tokens were seen
     _present: set[str] = set()  # servers whose token is there
     _addresses: dict[str, str] = {}  # of links, by zenoh's id of the other side
@@ -102,14 +104,15 @@ class Links(msgspec.Struct, eq=False):
         """Send what waits, for some seconds at most, and close the sessions."""
         deadline = time.monotonic() + RELEASE_S
         for sender in list(self.senders.values()):
-            sender.close(max(0.0, deadline - time.monotonic()))
+            sender.wait(max(0.0, deadline - time.monotonic()))
+        self._threads.close()
         self._leaving.set()
         for opened in self.sessions:
             session.close(opened)
 
     def hang_up(self, server: str) -> None:
-        """End the sender to a server that left: one that is restarted is another server."""
-        self.senders.pop(server).close()
+        """Drop the sender to a server that left: one that is restarted is another server."""
+        del self.senders[server]
 
     def forget(self, server: str) -> None:
         """Forget a server that left long ago, unless its token appears just now."""
@@ -192,11 +195,11 @@ class Links(msgspec.Struct, eq=False):
         return not link_busy and _size(message) < AT_ONCE
 
     def _hand_over(self, server: str, send: Callable[[], None], *, at_once: bool) -> bool:
-        """Have the server's thread make a call; return False if it cannot."""
+        """Have a call to a server made; return False if that cannot be."""
         failed = partial(self._failed_at, f"sending to {server}")
         try:
             if server not in self.senders:
-                self.senders[server] = session.Sender(server, failed)
+                self.senders[server] = Sender(self._threads, failed)
             return self.senders[server].send(send, at_once=at_once)
         except Exception as error:  # no thread can be started
             failed(error)

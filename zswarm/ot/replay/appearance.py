@@ -1,6 +1,5 @@
 """How things look, alike in films, GIFs and the player: colours of kinds, corners of shapes."""
 
-import itertools
 import math
 import re
 from collections.abc import Sequence
@@ -8,35 +7,52 @@ from typing import Any
 
 from zswarm.sims.simulator import Body, Frame
 
-# By name; the player has them as ``--zp-NAME``, for light and dark pages.
+# On light and on dark pages by name; the player has them as ``--zp-NAME``.
 COLOURS = {
-    "wall": "#8b9099",
-    "exit": "#35a36b",
-    "home": "#cfe3f5",
-    "home-2": "#f6d9c4",
-    "flag": "#f2d16b",
-    "flag-2": "#d9a300",
-    # The palette of Okabe and Ito.
-    "c1": "#0072b2",
-    "c2": "#d55e00",
-    "c3": "#009e73",
-    "c4": "#cc79a7",
-    "c5": "#e69f00",
-    "c6": "#56b4e9",
-    "c7": "#f0e442",
-    "c8": "#000000",
+    "wall": ("#686f78", "#6b737c"),
+    "exit": ("#009e73", "#2fbf92"),
+    "home": ("#a9d3f0", "#29485c"),
+    "home-2": ("#f3cdb0", "#5c4029"),
+    "flag": ("#e3c22b", "#f2d84b"),
+    "flag-2": ("#b98a00", "#c79a2a"),
+    "floor-black": ("#111111", "#111111"),
+    "floor-grey": ("#bbbbbb", "#bbbbbb"),
+    "floor-white": ("#ffffff", "#ffffff"),
+    # The palette of Okabe and Ito, darker or lighter where it would be pale.
+    "c1": ("#0072b2", "#56b4e9"),
+    "c2": ("#d55e00", "#f0813a"),
+    "c3": ("#009e73", "#2fbf92"),
+    "c4": ("#a8457f", "#e39ac2"),
+    "c5": ("#b87800", "#e69f00"),
+    "c6": ("#2f8fc7", "#9bd0f2"),
+    "c7": ("#7a6a00", "#f0e442"),
+    "c8": ("#333333", "#dddddd"),
 }
+PALETTE = [name for name in COLOURS if re.fullmatch(r"c\d", name)]
 # They are in the colours of the palette.
 AGENT = re.compile(r"(robot|opponent|cart|defender)\b(?!.*says)")
-KNOWN = {
-    "^opponents' home": "home-2",
-    "^opponents' flag": "flag-2",
-    "wall|blockade|track|^rod$": "wall",
-    "exit|goal|right": "exit",
-    "nest|home|white floor": "home",
-    "black floor": "c8",
-    "flag's stand|^light$|^lamp$": "flag",
-    "wrong|too much": "c2",
+# Colours of words in a kind; the first one that it contains counts. docs/own-simulator.md has both
+# tables.
+WORDS = {
+    "opponents' home": "home-2",
+    "opponents' flag": "flag-2",
+    "black floor": "floor-black",
+    "grey floor": "floor-grey",
+    "white floor": "floor-white",
+    "wall": "wall",
+    "blockade": "wall",
+    "track": "wall",
+    "rod": "wall",
+    "exit": "exit",
+    "goal": "exit",
+    "right": "exit",
+    "nest": "home",
+    "home": "home",
+    "flag": "flag",
+    "light": "flag",
+    "lamp": "flag",
+    "wrong": "c2",
+    "too much": "c2",
     "too little": "c1",
 }
 # The first corner in half turns, the number of corners, and their distance in radii.
@@ -47,26 +63,38 @@ SHAPES = {
 }
 
 
-def kinds(*trials: Sequence[Frame]) -> dict[str, str]:
-    """Return all kinds in the order in which they occur, each with the name of its colour."""
+def kinds(
+    *trials: Sequence[Frame], shown: dict[str, str] | None = None
+) -> dict[str, str]:
+    """Return all kinds in the order in which they occur, each with the name of its colour.
+
+    Args:
+        shown: kinds of other pictures with their colours, which apply here, too; new kinds are
+            added.
+    """
     found: dict[str, None] = {}
     for frames in trials:
         found |= dict.fromkeys(place.kind for place in frames[0].places)
         found |= dict.fromkeys(line.kind for line in frames[0].lines)
         found |= dict.fromkeys(body.kind for frame in frames for body in frame.bodies)
-    palette = itertools.cycle(name for name in COLOURS if name.startswith("c"))
-    return {kind: _known(kind) or next(palette) for kind in found}
+    shown = {} if shown is None else shown
+    for kind in found:
+        free = sum(not _stated(other) for other in shown)
+        shown.setdefault(kind, _stated(kind) or PALETTE[free % len(PALETTE)])
+    return {kind: shown[kind] for kind in found}
 
 
-def _known(kind: str) -> str:
+def _stated(kind: str) -> str:
+    """Return the name of the colour that a word in a kind states, or ""."""
     if AGENT.match(kind):
         return ""
-    return next((name for pattern, name in KNOWN.items() if re.search(pattern, kind)), "")
+    found = (name for word, name in WORDS.items() if re.search(rf"\b{word}s?\b", kind))
+    return next(found, "")
 
 
 def colours(*trials: Sequence[Frame]) -> dict[str, str]:
     """Return the colour of each kind, for pictures that are always light."""
-    return {kind: COLOURS[name] for kind, name in kinds(*trials).items()}
+    return {kind: COLOURS[name][0] for kind, name in kinds(*trials).items()}
 
 
 def scaled(frame: Frame, scale: float) -> Frame:

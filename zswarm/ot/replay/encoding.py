@@ -25,9 +25,9 @@ AS_IN_TRACE = (
 ).split()
 
 
-def encode(trace: Trace) -> bytes:
-    """Return the bytes of a trace."""
-    header, tracks = _header(trace), _tracks(trace)
+def encode(trace: Trace, shown: dict[str, str] | None = None) -> bytes:
+    """Return the bytes of a trace; ``shown`` as in ``appearance.kinds``."""
+    header, tracks = _header(trace, shown), _tracks(trace)
     header["tracks"] = [track.header() for track in tracks]
     text = msgspec.json.encode(header)  # NaN becomes null
     packed = zlib.compress(b"".join(track.packed() for track in tracks), 9)
@@ -59,7 +59,7 @@ class _Track(NamedTuple):
         return np.ascontiguousarray(halves.reshape(-1, self.values.itemsize).T).tobytes()
 
 
-def _header(of: Trace) -> dict[str, Any]:
+def _header(of: Trace, shown: dict[str, str] | None) -> dict[str, Any]:
     header: dict[str, Any] = {
         **{name: getattr(of, name) for name in AS_IN_TRACE},
         "agents": len(of.owners),
@@ -68,7 +68,7 @@ def _header(of: Trace) -> dict[str, Any]:
     }
     if not of.frames:
         return header
-    first, colours = of.frames[0], kinds(of.frames)
+    first, colours = of.frames[0], kinds(of.frames, shown=shown)
     number_of = _numbered(colours)
     return header | {
         "width": float(first.width),
@@ -136,10 +136,11 @@ def _levels(name: str, numbers: np.ndarray) -> _Track:
     low = np.where(known, values, np.inf).min(axis=(0, 1))
     high = np.where(known, values, -np.inf).max(axis=(0, 1))
     low = np.where(np.isfinite(low), low, 0.0)
+    high = np.where(np.isfinite(high), high, low)
     size = np.where(high > low, high - low, 1.0)
     scaled = np.rint((np.where(known, values, low) - low) / size * LEVELS) + 1
     levels = np.where(known, scaled, 0).astype(np.uint8).reshape(len(numbers), -1)
-    return _Track(name, levels, low.tolist(), (low + size).tolist())
+    return _Track(name, levels, low.tolist(), high.tolist())
 
 
 def _numbers_every(of: Trace) -> int:

@@ -6,10 +6,12 @@ import os
 import re
 import sys
 import webbrowser
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from zswarm.errors import ConfigError
@@ -21,20 +23,88 @@ from zswarm.system.text import clean
 HERE = files("zswarm.ot.replay") / "pages"
 NAME = "replay.html"
 # Each imports earlier ones.
-MODULES = ("decode", "elements", "picture", "panel", "player")
+MODULES = (
+    "decode",
+    "elements",
+    "picture",
+    "heatmap",
+    "panel",
+    "view",
+    "side",
+    "player",
+)
 
 
-def page(trace: Trace, title: str) -> str:
-    """Return one file that contains all it shows; its policy forbids network requests."""
+class Played(NamedTuple):
+    """A trial of a page: where it is from, its result, and its encoded trace."""
+
+    about: dict[str, Any]
+    fitness: list[float]  # of each participant; NaN if the trial failed
+    note: str
+    error: str
+    encoded: bytes
+
+
+class Side(NamedTuple):
+    """What a page shows of a run: trials, generation after generation, and the first one shown."""
+
+    trials: Sequence[Played]
+    start: int = 0
+
+
+def played(trace: Trace, colours: dict[str, str] | None = None) -> Played:
+    """Encode a trace.
+
+    Args:
+        colours: of the kinds in other trials of the page; new ones are added.
+    """
+    encoded = encode(trace, colours)
+    return Played(trace.about, [*trace.fitness], trace.note, trace.error, encoded)
+
+
+def page(sides: Sequence[Side], title: str) -> str:
+    """Return one file that contains all it shows; its policy forbids network requests.
+
+    Args:
+        sides: one run, or two that are shown side by side on one clock.
+        title: of the page.
+    """
+    every = [one for side in sides for one in side.trials]
     parts = {
         "STYLE": (HERE / "player.css").read_text(encoding="utf-8"),
         "PLAYER": player(),
-        "TRACE": base64.b64encode(encode(trace)).decode(),
+        "INDEX": _index(sides),
+        "TRACES": "\n".join(map(_script, every)),
         "TITLE": html.escape(clean(title)),
     }
     text = (HERE / NAME).read_text(encoding="utf-8")
     # One pass: no placeholder is searched in texts that come from somewhere else.
     return re.sub("@([A-Z]+)@", lambda found: parts[found[1]], text)
+
+
+def _index(sides: Sequence[Side]) -> str:
+    """Return JSON of numbers only: what the menus list."""
+    return msgspec.json.encode(
+        [
+            {
+                "start": side.start,
+                "trials": [
+                    {
+                        "generation": one.about.get("generation", 0),
+                        "trial": one.about.get("trial", 0),
+                        "fitness": one.fitness,
+                    }
+                    for one in side.trials
+                ],
+            }
+            for side in sides
+        ]
+    ).decode()
+
+
+def _script(one: Played) -> str:
+    text = base64.b64encode(one.encoded).decode()
+    return f'<script type="application/octet-stream" class="trace">{text}</script>'
 
 
 def player() -> str:

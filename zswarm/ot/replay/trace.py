@@ -273,11 +273,7 @@ def _recorded(
 ) -> dict[str, Any]:
     """Return a trial of the record, {} if it has none; raise ConfigError if the run has none."""
     generation, candidate, trial = number
-    trials = [
-        one
-        for one in run.trials(generation)
-        if candidate in one.get("candidates", (one.get("candidate"),))
-    ]
+    trials = _trials(run, generation, candidate)
     by_number = {one["trial"]: one for one in trials}
     count = problem.experiment.problem.trials
     if problem.simulator.participants > 1:
@@ -285,6 +281,29 @@ def _recorded(
     if not 0 <= trial < count:
         raise ConfigError(f"{run.shown}: no {what}; {available('trial', count)}")
     return by_number.get(trial, {})
+
+
+def _trials(run: Run, generation: int, candidate: int) -> list[dict[str, Any]]:
+    """Return the recorded trials of a candidate, those of all its games."""
+    return [
+        one
+        for one in run.trials(generation)
+        if candidate in one.get("candidates", (one.get("candidate"),))
+    ]
+
+
+def count_trials(run: Run, generation: int, candidate: int | None) -> int:
+    """Return how many trials of a candidate can be played again; None: of the best.
+
+    Raises:
+        ConfigError: the run has no such candidate.
+    """
+    count = run.experiment.problem.trials
+    if Problem(run.experiment).simulator.participants == 1:
+        return count
+    candidates = {one["candidate"]: one for one in run.candidates(generation)}
+    candidate = candidate_of(run, generation, candidates, candidate)
+    return len(_trials(run, generation, candidate))
 
 
 def _difference(found: Trace, recorded: dict[str, Any]) -> str:

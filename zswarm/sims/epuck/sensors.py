@@ -10,13 +10,24 @@ nominal ones, which controllers use, for light.
 import numpy as np
 
 from zswarm.kernels.jit import inline, sqrt
-from zswarm.kernels.lanes import LANES, any_of, fill, floor, load, select, store
+from zswarm.kernels.lanes import (
+    LANES,
+    any_of,
+    fill,
+    floor,
+    list_true,
+    load,
+    select,
+    store,
+)
 from zswarm.kernels.portable import PI, atan2, exp
-from zswarm.kernels.random import draw_uniform, draw_uniforms, skip
+from zswarm.kernels.random import draw_uniforms, skip
 from zswarm.sims.epuck.walls import first_near, is_near, to_box
 from zswarm.sims.epuck.world import (
     ANGLE,
+    AUDIBLE,
     BEARING,
+    BESIDE,
     BRIGHTNESS,
     COSINE,
     DISC,
@@ -34,13 +45,16 @@ from zswarm.sims.epuck.world import (
     LIGHT_NOISE,
     LOSS,
     MIDDLE_GREY,
+    NEAR,
     NOISY,
     PLACE_X,
     PLACE_Y,
     PROXIMITY,
     PROXIMITY_NOISE,
     RADIUS,
+    RECEIVED,
     ROBOT_HEIGHT,
+    SENDER,
     SHAPE,
     SINE,
     SIZE_X,
@@ -75,7 +89,7 @@ def sense(world):
         for at in range(0, robots.shape[1], LANES):
             store(robots[row], at, fill(0.0))
     meet(world)
-    draw_uniforms(world.stream, world.noise, NOISY)
+    draw_uniforms(world.stream, world.noise, NOISY, world.noise.shape[1])
     skip(world.stream, NOISY * world.number)
     for robot in range(world.number):
         see_walls(world, robot)
@@ -97,61 +111,89 @@ def sense(world):
 def meet(world):
     """Let robots sense each other's bodies and receive each other's messages."""
     robots = world.robots
-    near = RING + RAY + RADIUS
-    hearing = world.hearing
-    reach = max(near, hearing)
+    meetings = world.meetings
+    near, audible = list_meetings(world)
+    for at in range(near):
+        robot = meetings[NEAR, at]
+        other = meetings[BESIDE, at]
+        dx = robots[X, other] - robots[X, robot]
+        dy = robots[Y, other] - robots[Y, robot]
+        see_robot(world, robot, dx, dy)
+        see_robot(world, other, -dx, -dy)
     for robot in range(world.number):
-        x = robots[X, robot]
-        y = robots[Y, robot]
-        first = robot + 1
-        for at in range(first // LANES * LANES, robots.shape[1], LANES):
-            dx = load(robots[X], at) - x
-            dy = load(robots[Y], at) - y
-            squares = dx * dx + dy * dy
-            if any_of(
-                (squares < reach * reach) & (load(world.places, at) > float(robot))
-            ):
-                for other in range(max(first, at), min(at + LANES, world.number)):
-                    meet_one(world, robot, other, near * near)
-
-
-@inline(counts=False, inner=True)
-def meet_one(world, robot, other, near):
-    """Let two robots sense each other's bodies, and receive each other's messages."""
-    robots = world.robots
-    dx = robots[X, other] - robots[X, robot]
-    dy = robots[Y, other] - robots[Y, robot]
-    square = dx * dx + dy * dy
-    if square < near:
-        see_robot(robots, robot, dx, dy)
-        see_robot(robots, other, -dx, -dy)
-    if square < world.hearing * world.hearing:
-        lost = world.constants[LOSS]
-        hears = draw_uniform(world.stream) >= lost
-        is_heard = draw_uniform(world.stream) >= lost
-        if (hears or is_heard) and not hidden(world, robot, other, dx, dy):
-            distance = sqrt(square)
-            if hears:
+        for sensor in range(SENSORS):
+            robots[PROXIMITY + sensor, robot] = world.rays[SENSORS * robot + sensor]
+            world.rays[SENSORS * robot + sensor] = 0.0
+    draw_uniforms(world.stream, world.chances, 2, audible)
+    skip(world.stream, 2 * audible)
+    lost = world.constants[LOSS]
+    heard = 0
+    for at in range(audible):  # without a branch, which no processor could predict
+        meetings[RECEIVED, heard] = at
+        hears = world.chances[0, at] >= lost
+        heard += 1 if hears | (world.chances[1, at] >= lost) else 0
+    for index in range(heard):
+        at = meetings[RECEIVED, index]
+        robot = meetings[AUDIBLE, at]
+        other = meetings[SENDER, at]
+        dx = robots[X, other] - robots[X, robot]
+        dy = robots[Y, other] - robots[Y, robot]
+        if not hidden(world, robot, other, dx, dy):
+            distance = sqrt(dx * dx + dy * dy)
+            if world.chances[0, at] >= lost:
                 hear(robots, robot, dx, dy, distance)
-            if is_heard:
+            if world.chances[1, at] >= lost:
                 hear(robots, other, -dx, -dy, distance)
 
 
 @inline(counts=False, inner=True)
-def see_robot(robots, robot, dx, dy):
-    """Raise the proximity readings whose rays hit a robot at an offset."""
+def list_meetings(world):
+    """List the pairs of robots that may sense each other's bodies, and those in range.
+
+    Returns:
+        their numbers.
+    """
+    robots = world.robots
+    meetings = world.meetings
+    reach = RING + RAY + RADIUS
+    hearing = world.hearing
+    near = 0
+    audible = 0
+    for robot in range(world.number):
+        x = robots[X, robot]
+        y = robots[Y, robot]
+        for at in range((robot + 1) // LANES * LANES, robots.shape[1], LANES):
+            dx = load(robots[X], at) - x
+            dy = load(robots[Y], at) - y
+            squares = dx * dx + dy * dy
+            later = load(world.places, at) > float(robot)
+            store(meetings[NEAR], near, fill(np.int32(robot)))
+            which = (squares < reach * reach) & later
+            near += list_true(which, at, meetings[BESIDE], near)
+            store(meetings[AUDIBLE], audible, fill(np.int32(robot)))
+            which = (squares < hearing * hearing) & later
+            audible += list_true(which, at, meetings[SENDER], audible)
+    return near, audible
+
+
+@inline(counts=False, inner=True)
+def see_robot(world, robot, dx, dy):
+    """Raise the proximity readings, one in each lane, whose rays hit a robot at an offset."""
+    robots = world.robots
     ahead = dx * robots[COSINE, robot] + dy * robots[SINE, robot]
     aside = dy * robots[COSINE, robot] - dx * robots[SINE, robot]
-    for sensor in range(SENSORS):
-        along = ahead * RAY_X[sensor] + aside * RAY_Y[sensor]
-        across = aside * RAY_X[sensor] - ahead * RAY_Y[sensor]
-        chord = RADIUS * RADIUS - across * across
-        if chord > 0.0:
-            distance = along - sqrt(chord) - RING
-            if 0.0 <= distance < RAY:
-                value = (SQUARE * distance + LINEAR) * distance + CONSTANT
-                row = PROXIMITY + sensor
-                robots[row, robot] = max(robots[row, robot], min(value, 1.0))
+    rays_x = load(RAY_X, 0)
+    rays_y = load(RAY_Y, 0)
+    along = rays_x * ahead + rays_y * aside
+    across = rays_x * aside - rays_y * ahead
+    chord = RADIUS * RADIUS - across * across
+    hit = chord > 0.0
+    distance = along - sqrt(select(hit, chord, 0.0)) - RING
+    hit = hit & (distance >= 0.0) & (distance < RAY)
+    value = (distance * SQUARE + LINEAR) * distance + CONSTANT
+    value = select(value < 1.0, value, 1.0)
+    reading = load(world.rays, SENSORS * robot)
+    store(world.rays, SENSORS * robot, select(hit & (value > reading), value, reading))
 
 
 @inline(counts=False, inner=True)

@@ -23,6 +23,7 @@ from zswarm.sims.epuck.world import (
     FAR_AWAY,
     IMPULSE_COLUMNS,
     LISTS,
+    MEETING_ROWS,
     MEMORY_ROWS,
     NOISY,
     RADIUS,
@@ -151,6 +152,9 @@ class Epuck(Teams):
             greys=GREYS,
             places=np.arange(lanes, dtype=np.float64),
             robots=robots,
+            meetings=np.zeros((MEETING_ROWS, number * number + LANES), np.int32),
+            chances=np.zeros((2, number * number)),
+            rays=np.zeros(LANES * number),
             memory=np.zeros((MEMORY_ROWS, lanes)),
             noise=np.zeros((NOISY, lanes)),
             seen=np.zeros((self.inputs, lanes)),
@@ -170,7 +174,7 @@ class Epuck(Teams):
         """Return the arena from above, y upwards in the world and downwards in the picture."""
         world, side = self.world, self._mission.arena.half_side
         bodies = [self._body(robot) for robot in range(world.number)]
-        places = []
+        places = [Rectangle("grey floor", 0.0, 0.0, 2 * side, 2 * side)]
         for shape, x, y, half_x, half_y, grey in self._mission.floor:
             kind = "black floor" if grey == BLACK else "white floor"
             if shape == DISC:
@@ -179,7 +183,8 @@ class Epuck(Teams):
                 left, right = max(x - half_x, -side), min(x + half_x, side)
                 low, high = max(y - half_y, -side), min(y + half_y, side)
                 corner = side + left, side - high
-                places.append(Rectangle(kind, *corner, right - left, high - low))
+                # Of floors that overlap the first one counts: it is drawn last.
+                places.insert(1, Rectangle(kind, *corner, right - left, high - low))
         if self._mission.lamp[-1] > 0.0:
             x, y, _, _ = self._mission.lamp
             bodies.append(Body("lamp", side + x, side - y, RADIUS / 2))

@@ -14,6 +14,7 @@ from zswarm.kernels.portable import cos, sin
 from zswarm.kernels.signatures import (
     Float64Rows,
     Float64s,
+    Int32Rows,
     Int64Rows,
     Int64s,
     UInt64s,
@@ -64,6 +65,10 @@ LAMP_X, LAMP_Y, LAMP_Z, INTENSITY = range(5, 9)
 STEP_NUMBER, SUBSTEP = range(2)
 COUNTS = 2
 
+# ``meetings``: the robots of pairs that may sense each other's bodies, and of pairs in range; of
+# these, the indices of those in which at least one message is not lost.
+NEAR, BESIDE, AUDIBLE, SENDER, RECEIVED, MEETING_ROWS = range(6)
+
 # ``memory``: sums of the vectors of messages by step, then black and white readings.
 MEMORY = 11  # steps for which a robot remembers messages
 VOTES = 5  # steps for which it remembers the floor
@@ -105,6 +110,9 @@ class EpuckWorld(NamedTuple):
     greys: Float64Rows  # (3, quantiles) recorded readings of a grey floor
     places: Float64s  # the numbers 0, 1, 2 and so on, for each robot and spare lane
     robots: Float64Rows  # (ROBOT_ROWS, robots and spare lanes, which are far away)
+    meetings: Int32Rows  # (MEETING_ROWS, pairs of robots, and spare lanes)
+    chances: Float64Rows  # (2, pairs of robots), random numbers of messages
+    rays: Float64s  # proximity readings, robot after robot; 0 between steps
     memory: Float64Rows  # (MEMORY_ROWS, robots and spare lanes)
     noise: Float64Rows  # (NOISY, robots and spare lanes), random numbers of this step
     seen: Float64Rows  # (sensors, robots and spare lanes), what controllers see

@@ -1,7 +1,6 @@
 // The numbers of the chosen agent: what it observes and sets, and its hidden neurons.
 import { h } from "./elements.js";
-
-const STRIP = 6; // pixels of a number's row over the whole trial
+import { HeatMap } from "./heatmap.js";
 
 export class Panel {
   constructor(picture) {
@@ -9,29 +8,36 @@ export class Panel {
     this.picture = picture;
     this.numbers = [];
     this.title = h("h3", { class: "zp-agent", text: "no agent chosen" });
-    this.strips = h("canvas", {
-      class: "zp-strips", role: "img",
-      "aria-label": "all numbers of the agent over the whole trial, a row each" });
     const tables = [
-      ["inputs", "observes", trace.sensors], ["hidden", "hidden neurons", trace.neurons],
-      ["outputs", "sets", trace.actuators]].filter(([track]) => trace.tracks[track]);
+      ["inputs", "observations", trace.sensors], ["hidden", "hidden neurons", trace.neurons],
+      ["outputs", "actions", trace.actuators]].filter(([track]) => trace.tracks[track]);
     const table = ([track, title, names]) => [
       h("h4", { class: "zp-what", text: title }),
       h("div", { class: "zp-numbers", role: "group", "aria-label": title },
         // it scrolls: Tab reaches it
         ...names.flatMap((name, number) => this.row(track, name, number))),
     ];
+    const made = tables.flatMap(table);
+    this.map = new HeatMap(picture, this);
     this.element = h("div", { class: "zp-panel", role: "region",
-      "aria-label": "numbers of the agent" },
-      this.title, ...tables.flatMap(table), this.strips);
+      "aria-label": "numbers of the agent" }, this.title, ...made, this.map.element);
     this.element.hidden = this.numbers.length === 0;
   }
 
+  /** Make the row of a number: its bar begins at zero, which a tick marks where it is in range. */
   row(track, name, number) {
     const value = h("span", { class: "zp-value" }), bar = h("span", { class: "zp-amount" });
-    this.numbers.push({ track, number, value, bar });
+    const { low, high } = this.picture.trace.tracks[track];
+    const least = Math.min(low[number], 0), most = Math.max(high[number], 0, least + 1e-9);
+    const tick = h("span", { class: "zp-zero" });
+    tick.style.left = `${(100 * -least) / (most - least)}%`;
+    const range = `${name}: ${short(low[number])} to ${short(high[number])} in this trial`;
+    this.numbers.push({ track, number, name, value, bar, least, most, high: high[number],
+      low: low[number] });
     return [h("span", { class: "zp-name", text: name, title: name }),
-      h("span", { class: "zp-rail", "aria-hidden": "true" }, bar), value];
+      h("span", { class: "zp-end", text: short(least) }),
+      h("span", { class: "zp-rail", title: range, "aria-hidden": "true" }, bar, tick),
+      h("span", { class: "zp-end", text: short(most) }), value];
   }
 
   /** Call a function with the place of each number and its value in a frame, null for none. */
@@ -44,45 +50,18 @@ export class Panel {
   }
 
   draw() {
-    const { picture } = this;
-    this.each(Math.floor(picture.at), ({ track, number, value, bar }, now) => {
-      const { low, high } = picture.trace.tracks[track];
-      value.textContent = now === null ? "–" : now.toFixed(Math.abs(now) >= 100 ? 0 : 2);
-      const least = Math.min(low[number], 0),
-        span = Math.max(high[number], 0, least + 1e-9) - least;
+    this.each(Math.floor(this.picture.at), ({ value, bar, least, most }, now) => {
+      value.textContent = now === null ? "–"
+        : now.toFixed(Math.abs(now) >= 100 ? 0 : 2).replace("-0.00", "0.00");
+      const span = most - least;
       bar.style.left = `${(100 * (Math.min(now, 0) - least)) / span}%`;
       bar.style.width = `${100 * Math.min(Math.abs(now) / span, 1)}%`;
     });
-    if (!this.image) return;
-    const context = this.strips.getContext("2d"), { width, height } = this.strips;
-    context.drawImage(this.image, 0, 0);
-    context.fillStyle = picture.colours.fg;
-    context.fillRect((picture.at / Math.max(1, picture.last)) * (width - 2), 0, 2, height);
+    this.map.draw();
   }
+}
 
-  /** Draw all numbers over the trial, low ones dark and high ones bright; once for each agent. */
-  drawStrips() {
-    const { colours, chosen, last, trace } = this.picture;
-    this.image = undefined;
-    this.strips.hidden = chosen < 0 || !this.numbers.length;
-    if (this.strips.hidden || !colours) return;
-    const width = Math.max(60, Math.round(this.strips.clientWidth || 240)),
-      height = this.numbers.length * STRIP;
-    Object.assign(this.strips, { width, height });
-    this.image = h("canvas", { width, height });
-    const context = this.image.getContext("2d"), columns = Math.min(width, last),
-      wide = width / Math.max(1, columns);
-    context.fillStyle = colours.field;
-    context.fillRect(0, 0, width, height);
-    context.fillStyle = colours.accent;
-    for (let column = 0; column < columns; column += 1) {
-      this.each(Math.floor((column / columns) * last), ({ track, number }, value, row) => {
-        if (value === null) return;
-        const { low, high } = trace.tracks[track];
-        context.globalAlpha = 0.05 + 0.95 * ((value - low[number]) / (high[number] - low[number]
-          || 1));
-        context.fillRect(column * wide, row * STRIP, wide + 0.5, STRIP - 1);
-      });
-    }
-  }
+/** Return a number in few letters. */
+function short(value) {
+  return Math.abs(value) < 1e-6 ? "0" : String(Number(value.toPrecision(2)));
 }

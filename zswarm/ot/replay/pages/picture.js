@@ -4,7 +4,9 @@ const TURN = 65536, STEPS = 65535, LEVELS = 254; // of headings, coordinates and
 const TRAIL = 40; // frames
 const JUMP = 5; // radii per round: a larger move is not interpolated
 const TALLEST = 0.68; // height of the picture, as a share of the window
-const FAINT = /\bout\b|outside|out of view|in the nest/; // kinds that take no part any more
+const HOLLOW = /\bout\b|outside|out of view|in the nest/; // kinds that take no part any more
+const LOADED = / with /; // kinds that carry something
+const GROUND = /^floor-/; // colours of what everything else stands on
 // Of shapes: the first corner in half turns, the number of corners, and their distance in radii.
 const CORNERS = { square: [0.25, 4, Math.SQRT2], diamond: [0, 4, 1.1], triangle: [-0.5, 3, 1.2] };
 
@@ -29,6 +31,8 @@ export class Picture {
     };
     this.colours = { fg: colour("--zp-fg"), field: colour("--zp-field"), edge: colour("--zp-line"),
       accent: colour("--zp-accent") };
+    this.low = colour("--zp-c1");
+    this.high = colour("--zp-c2");
     this.kindColours = (this.trace.colours ?? []).map((name) => colour(`--zp-${name}`));
     root.style.color = "";
     this.background = undefined;
@@ -36,10 +40,10 @@ export class Picture {
 
   /** Fit the canvas into a width. */
   fit(room) {
-    const { trace, canvas } = this, { x, y } = trace.tracks;
-    const left = Math.min(0, x.low[0]), top = Math.min(0, y.low[0]);
-    const wide = Math.max(trace.width, x.high[0]) - left,
-      high = Math.max(trace.height, y.high[0]) - top;
+    const { trace, canvas } = this;
+    this.extents ??= [this.extent("x", trace.width), this.extent("y", trace.height)];
+    const [[left, right], [top, bottom]] = this.extents;
+    const wide = right - left, high = bottom - top;
     const scale = Math.min(room / wide, (Math.max(window.innerHeight, 400) * TALLEST) / high);
     const ratio = Math.min(window.devicePixelRatio || 1, 2);
     this.view = { left, top, scale, ratio };
@@ -48,6 +52,20 @@ export class Picture {
     canvas.style.width = `${wide * scale}px`;
     canvas.style.height = `${high * scale}px`;
     this.background = undefined;
+  }
+
+  /** Return from where to where something is drawn: the field, and what reaches over its edge. */
+  extent(axis, size) {
+    const track = this.trace.tracks[axis], { radii } = this.trace;
+    const edge = size / 200; // of the lines
+    let low = -edge, high = size + edge;
+    for (let at = 0; at < track.values.length; at += 1) {
+      const middle = this.real(track, at), body = at % track.columns,
+        reach = (radii[body] ?? 0) + edge;
+      low = Math.min(low, middle - reach);
+      high = Math.max(high, middle + reach);
+    }
+    return [low, high];
   }
 
   /** Return the place of a body or an end of a line; it is not interpolated where it jumped. */
@@ -126,6 +144,9 @@ export class Picture {
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.drawImage(this.background, 0, 0);
     this.toField(context);
+    const ground = [], standing = [];
+    for (const group of this.groups()) (this.isGround(group.kind) ? ground : standing).push(group);
+    for (const { kind, bodies } of ground) this.drawBodies(context, kind, bodies);
     const trails = this.trails ? Math.min(trace.agents, this.bodies) : 0,
       chosen = this.chosen >= 0 && this.chosen < this.bodies;
     for (let agent = 0; agent < trails; agent += 1) {
@@ -136,22 +157,34 @@ export class Picture {
       if (this.rays) this.drawRays(context);
     }
     this.drawLines(context);
-    const groups = new Map();
-    for (let body = this.bodies - 1; body >= 0; body -= 1) {
-      const key = 2 * this.kind(body) + trace.headed[body];
-      if (!groups.has(key)) groups.set(key, []);
-      groups.get(key).push(body);
-    }
-    for (const [key, bodies] of groups) this.drawBodies(context, key >> 1, bodies);
+    for (const { kind, bodies } of standing) this.drawBodies(context, kind, bodies);
     if (chosen) {
       const [x, y] = this.place(this.chosen);
       context.beginPath();
       context.arc(x, y, trace.radii[this.chosen] + 4 / view.scale, 0, 2 * Math.PI);
-      context.lineWidth = 2.5 / view.scale;
-      context.strokeStyle = this.colours.fg;
-      context.stroke();
+      // Visible on each floor.
+      for (const [width, colour] of [[5, this.colours.field], [2.5, this.colours.fg]]) {
+        context.lineWidth = width / view.scale;
+        context.strokeStyle = colour;
+        context.stroke();
+      }
     }
     this.drawLabels(context);
+  }
+
+  /** Return bodies by their kinds, first the last ones: agents are drawn over others. */
+  groups() {
+    const groups = new Map();
+    for (let body = this.bodies - 1; body >= 0; body -= 1) {
+      const kind = this.kind(body), key = 2 * kind + this.trace.headed[body];
+      if (!groups.has(key)) groups.set(key, { kind, bodies: [] });
+      groups.get(key).bodies.push(body);
+    }
+    return groups.values();
+  }
+
+  isGround(kind) {
+    return GROUND.test(this.trace.colours[kind]);
   }
 
   drawBackground() {
@@ -242,18 +275,14 @@ export class Picture {
 
   drawBodies(context, kind, bodies) {
     const { trace, view } = this, name = trace.kinds[kind];
-    context.globalAlpha = FAINT.test(name) ? 0.45 : 1;
-    context.fillStyle = this.kindColours[kind];
-    context.strokeStyle = this.colours.field;
-    context.lineWidth = 1 / view.scale;
+    const hollow = HOLLOW.test(name), line = Math.max(0.3 * trace.radii[bodies[0]], 1 / view.scale);
     context.beginPath();
     for (const body of bodies) {
-      const [x, y] = this.place(body), turned = trace.headed[body] ? this.heading(body) : 0;
-      outline(context, trace.shapes[body], x, y, Math.max(trace.radii[body], 1.6 / view.scale),
-        turned);
+      const [x, y] = this.place(body), turned = trace.headed[body] ? this.heading(body) : 0,
+        radius = Math.max(trace.radii[body], 1.6 / view.scale);
+      outline(context, trace.shapes[body], x, y, hollow ? radius - line / 2 : radius, turned);
     }
-    context.fill();
-    context.stroke();
+    this.paint(context, kind, hollow, hollow ? line : 1 / view.scale);
     if (trace.headed[bodies[0]] && trace.shapes[bodies[0]] === "disc") {
       context.beginPath();
       for (const body of bodies) {
@@ -265,7 +294,7 @@ export class Picture {
       context.strokeStyle = this.colours.field;
       context.stroke();
     }
-    if (/ with /.test(name)) {
+    if (LOADED.test(name)) {
       context.beginPath();
       for (const body of bodies) {
         const [x, y] = this.place(body), radius = trace.radii[body];
@@ -274,7 +303,16 @@ export class Picture {
       context.fillStyle = this.colours.field;
       context.fill();
     }
-    context.globalAlpha = 1;
+  }
+
+  /** Fill a path, or only draw it where a kind is hollow. */
+  paint(context, kind, hollow, width) {
+    const colour = this.kindColours[kind], { field } = this.colours;
+    context.fillStyle = hollow ? field : colour;
+    context.strokeStyle = hollow ? colour : field;
+    context.lineWidth = width;
+    context.fill();
+    if (hollow || !this.isGround(kind)) context.stroke();
   }
 
   drawLabels(context) {
@@ -305,19 +343,22 @@ export class Picture {
   drawSwatch(canvas, kind) {
     const context = canvas.getContext("2d"), name = this.trace.kinds[kind],
       shape = this.shapeOf(kind);
+    const body = shape !== "place" && shape !== "line";
     context.clearRect(0, 0, canvas.width, canvas.height);
-    context.globalAlpha = FAINT.test(name) && shape !== "place" ? 0.45 : 1;
-    context.fillStyle = this.kindColours[kind];
     context.beginPath();
     if (shape === "place") context.rect(1, 5, 30, 22);
     else if (shape === "line") context.rect(2, 13, 28, 6);
     else outline(context, shape, 16, 16, shape === "square" ? 11 : 13, 0);
-    context.fill();
-    if (/ with /.test(name)) {
+    this.paint(context, kind, body && HOLLOW.test(name), 4);
+    if (this.isGround(kind)) { // white and black are also colours of pages
+      context.strokeStyle = this.colours.edge;
+      context.lineWidth = 2;
+      context.stroke();
+    }
+    if (body && LOADED.test(name)) {
       context.fillStyle = this.colours.field;
       context.fillRect(12, 12, 8, 8);
     }
-    context.globalAlpha = 1;
   }
 }
 

@@ -1,13 +1,12 @@
-// Plays a trace (docs/replay.md) inside an element:
+// Plays traces (docs/replay.md) inside an element, of one run or of two side by side on one clock:
 //
 //   const player = await play(element, bytes);
 //   player.pause(); player.frames; player.destroy();
 //
 // page.py puts this module and those it imports into one script.
-import { decode } from "./decode.js";
 import { fill, h, s } from "./elements.js";
-import { Panel } from "./panel.js";
-import { Picture } from "./picture.js";
+import { Side } from "./side.js";
+import { select } from "./view.js";
 
 const SPEEDS = [0.25, 0.5, 1, 2, 4, 8, 16];
 const SECONDS = 20, SLOWEST = 3,
@@ -17,18 +16,18 @@ const ICONS = { // paths in a square of 16
   start: "M2 2h3v12H2zM14 2v12L5 8z", back: "M12 2v12L3 8z", play: "M4 2v12l10-6z",
   pause: "M3 2h4v12H3zM9 2h4v12H9z", ahead: "M3 2v12l8-6zM12 2h2v12h-2z",
 };
-const KEYS = {
-  space: "play, pause", "← →": "a round back, ahead; with shift ten", "Home End": "start, end",
-  "+ −": "faster, slower", "[ ]": "the previous agent, the next one", "T, S": "trails, sensors",
-};
 
 /** Build a player.
  * @param {HTMLElement} element emptied, and filled with it
- * @param {Uint8Array|ArrayBuffer} bytes of a trace
+ * @param {Uint8Array|ArrayBuffer|Array} given bytes of a trace; or for each run `start`, the number
+ *   of the trial to begin with, and `trials`, each with `generation`, `trial`, `fitness` and `load`,
+ *   which returns the bytes of its trace
  * @returns {Promise<{pause: function, destroy: function, frames: number}>} frames: pictures drawn so far
  */
-export async function play(element, bytes) {
-  const player = new Player(element, await decode(bytes));
+export async function play(element, given) {
+  const alone = () => [{ start: 0, trials: [{ fitness: [], load: () => given }] }];
+  const player = new Player(element, Array.isArray(given) ? given : alone());
+  await player.begin();
   return {
     pause: () => player.pause(),
     destroy: () => player.destroy(),
@@ -36,49 +35,50 @@ export async function play(element, bytes) {
   };
 }
 
-class Player extends Picture {
-  constructor(element, trace) {
-    super(trace);
-    this.element = element;
-    this.speed = 1;
-    this.playing = false;
-    this.drawn = 0;
-    this.panelAt = 0;
-    this.perSecond = Math.min(Math.max(this.last / SECONDS, SLOWEST), FASTEST);
+class Player {
+  constructor(element, runs) {
+    Object.assign(this, { element, speed: 1, at: 0, playing: false, drawn: 0, panelAt: 0,
+      trails: false, rays: true, last: 0 });
+    this.still = window.matchMedia("(prefers-reduced-motion: reduce)");
+    this.sides = runs.map((run, number) => new Side(run, number, this));
+  }
+
+  /** Show the first trials; nothing is built if one cannot be shown. */
+  async begin() {
+    await Promise.all(this.sides.map((side) => side.show(side.at)));
     this.build();
     this.listen();
     this.restyle();
-    if (trace.agents) this.choose(0);
-    this.resize();
     if (!this.still.matches) this.play();
   }
 
+  get views() { return this.sides.map(({ view }) => view).filter(Boolean); }
+
+  /** Take over the length of a trial that is shown now. */
+  changed() {
+    const traces = this.views.map(({ trace }) => trace), round = this.at * (this.every ?? 1);
+    this.every = Math.min(...traces.map(({ every }) => every));
+    this.rounds = Math.max(...traces.map(({ rounds }) => rounds));
+    this.last = Math.ceil(this.rounds / this.every);
+    this.perSecond = Math.min(Math.max(this.last / SECONDS, SLOWEST), FASTEST);
+    this.at = Math.min(round / this.every, this.last);
+    if (!this.root) return;
+    this.slider.max = this.last;
+    this.raysLabel.hidden = !this.hasRays();
+    this.restyle();
+  }
+
   build() {
-    const { trace } = this, { about, error, note } = trace;
-    const parts = ["generation", "candidate", "trial"].filter((key) => about[key] !== undefined);
-    const title = [about.run ?? about.simulator ?? "",
-      ...parts.map((key) => `${key} ${about[key] + (key === "generation")}`)].join(" · ");
-    const metrics = Object.entries(trace.metrics).map(([key, value]) => `${key} ${shown(value)}`);
-    const result = [`fitness ${trace.fitness.map(shown).join(", ")}`, ...metrics].join(" · ");
-    const notes = [note, error && `the trial failed: ${error}`].filter(Boolean);
-    const why = trace.no_picture ? ` (${trace.no_picture})` : "";
-    const rest = "what the agents observe and set is shown alone.";
-    const missing = `This simulator draws no picture${why}: ${rest}`;
-    this.canvas = h("canvas", { class: "zp-canvas", role: "img" });
-    this.stage = trace.width ? h("div", {}, this.canvas)
-      : h("p", { class: "zp-dim", text: missing });
-    this.panel = new Panel(this);
-    this.root = h("section", { class: "zp", "aria-label": "replay of a trial" },
-      h("h2", { class: "zp-title", text: title }), h("p", { class: "zp-result", text: result }),
-      ...notes.map((text) => h("p", { class: "zp-note", text, role: "alert" })),
-      h("div", { class: "zp-row" },
-        h("div", { class: "zp-left" }, this.stage, this.bar(), this.legend()), this.panel.element),
-      this.facts());
+    const parts = this.sides.flatMap(({ slots, menus }) => [slots.head, menus, slots.stage]);
+    const below = this.sides.flatMap(({ slots }) => [slots.legend, slots.panel, slots.facts]);
+    const two = this.sides.length > 1;
+    this.root = h("section", { class: `zp ${two ? "zp-two" : "zp-one"}`,
+      "aria-label": two ? "replay of two trials" : "replay of a trial" },
+    h("div", { class: "zp-grid" }, ...parts, this.bar(), ...below));
     fill(this.element, this.root);
   }
 
   bar() {
-    const { trace } = this;
     this.slider = h("input", {
       class: "zp-slider", "aria-label": "round", type: "range", min: 0, max: this.last, step: 1,
       value: 0,
@@ -88,40 +88,30 @@ class Player extends Picture {
     this.speeds = select("speed", SPEEDS.map((speed) => [speed, `×${speed}`]),
       (value) => { this.speed = value; });
     this.speeds.value = 1;
-    const agents = Array.from({ length: trace.agents }, (_, i) => [i, `agent ${i}`]);
-    this.agents = select("agent", [[-1, "no agent"], ...agents], (value) => this.choose(value));
+    this.raysLabel = this.checkbox("sensors", "rays");
+    this.raysLabel.hidden = !this.hasRays();
     return h("div", { class: "zp-bar", role: "group", "aria-label": "playing" },
       h("div", { class: "zp-line" },
         button("back to the start", "start", () => this.go(0)),
         button("a round back", "back", () => this.step(-1)),
         this.playButton, button("a round ahead", "ahead", () => this.step(1)), this.slider,
         this.clock),
-      h("div", { class: "zp-line" }, this.speeds, trace.width && this.checkbox("trails", "trails"),
-        trace.rays?.length > 0 && this.checkbox("sensors", "rays"),
-        trace.agents > 0 && this.agents));
+      h("div", { class: "zp-line" }, this.speeds,
+        this.views.some(({ trace }) => trace.width) && this.checkbox("trails", "trails"),
+        this.raysLabel));
   }
+
+  hasRays() { return this.views.some(({ trace }) => trace.rays?.length > 0); }
 
   checkbox(text, name) {
     this[`${name}Box`] = h("input", {
       type: "checkbox", checked: this[name],
-      onchange: (event) => { this[name] = event.target.checked; this.draw(); } });
+      onchange: (event) => {
+        this[name] = event.target.checked;
+        for (const view of this.views) view[name] = this[name];
+        this.draw();
+      } });
     return h("label", { class: "zp-check" }, this[`${name}Box`], text);
-  }
-
-  legend() {
-    const kinds = this.trace.kinds ?? [];
-    this.swatches = kinds.map(() => h("canvas",
-      { class: "zp-swatch", "aria-hidden": "true", width: 32, height: 32 }));
-    return h("ul", { class: "zp-legend", "aria-label": "what is shown" },
-      ...kinds.map((kind, i) => h("li", {}, this.swatches[i], kind)));
-  }
-
-  facts() {
-    const words = (value) => (typeof value === "object" ? JSON.stringify(value) : String(value));
-    return h("details", { class: "zp-facts" },
-      h("summary", { text: "where this is from, and keys" }),
-      h("dl", {}, ...Object.entries({ ...this.trace.about, ...KEYS }).flatMap(([key, value]) => [
-        h("dt", { text: key }), h("dd", { text: words(value) })])));
   }
 
   // ---- input
@@ -134,21 +124,21 @@ class Player extends Picture {
     listen(document, "keydown", (event) => {
       if (event.target === body || event.target === documentElement) this.key(event);
     });
-    listen(this.canvas, "pointerdown", (event) => this.touch(event));
     const dark = window.matchMedia("(prefers-color-scheme: dark)");
     for (const media of [dark, this.still]) listen(media, "change", () => this.restyle());
     listen(document, "visibilitychange", () => { this.before = undefined; });
     this.themes = new MutationObserver(() => this.restyle());
     this.themes.observe(documentElement, { attributes: true, attributeFilter: ["data-theme"] });
     this.sizes = new ResizeObserver(() => requestAnimationFrame(() => this.root.isConnected
-      && this.resize()));
+      && this.views.forEach((view) => view.resize())));
     this.sizes.observe(this.root);
   }
 
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || event.target.closest("select")) return;
     const on = event.target.closest("button, summary, input"),
-      slider = event.target === this.slider;
+      slider = event.target.closest(".zp-slider");
+    const choose = (by) => this.views.forEach((view) => view.choose(view.chosen + by));
     const acts = {
       " ": () => !(on && !slider) && this.toggle(),
       ArrowLeft: () => !slider && this.step(event.shiftKey ? -10 : -1),
@@ -158,25 +148,17 @@ class Player extends Picture {
       "+": () => this.faster(1),
       "=": () => this.faster(1),
       "-": () => this.faster(-1),
-      "[": () => this.choose(this.chosen - 1),
-      "]": () => this.choose(this.chosen + 1),
+      "[": () => choose(-1),
+      "]": () => choose(1),
+      ",": () => this.sides.forEach((side) => side.trial(-1)),
+      ".": () => this.sides.forEach((side) => side.trial(1)),
+      PageUp: () => this.sides.forEach((side) => side.generation(-1)),
+      PageDown: () => this.sides.forEach((side) => side.generation(1)),
       t: () => this.trailsBox?.click(),
-      s: () => this.raysBox?.click(),
+      s: () => this.hasRays() && this.raysBox.click(),
     };
     const act = acts[event.key.length === 1 ? event.key.toLowerCase() : event.key];
     if (act && act() !== false) event.preventDefault();
-  }
-
-  touch(event) {
-    const box = this.canvas.getBoundingClientRect(), { trace, view } = this;
-    const x = (event.clientX - box.left) / view.scale + view.left,
-      y = (event.clientY - box.top) / view.scale + view.top;
-    let best = -1, least = 24 / view.scale; // the reach of a finger
-    for (let agent = 0; agent < Math.min(trace.agents, this.bodies); agent += 1) {
-      const [bx, by] = this.place(agent), away = Math.hypot(bx - x, by - y) - trace.radii[agent];
-      if (away < least) [best, least] = [agent, away];
-    }
-    this.choose(best);
   }
 
   toggle() { if (this.playing) this.pause(); else this.play(); }
@@ -211,19 +193,15 @@ class Player extends Picture {
     this.draw();
   }
 
+  /** Go to a round. */
+  goTo(round) {
+    this.go(Math.min(round / this.every, this.last));
+  }
+
   faster(by) {
     const at = Math.min(Math.max(SPEEDS.indexOf(this.speed) + by, 0), SPEEDS.length - 1);
     this.speed = SPEEDS[at];
     this.speeds.value = this.speed;
-  }
-
-  choose(agent) {
-    if (!this.trace.agents || agent >= this.trace.agents || agent < -1) return;
-    this.chosen = agent;
-    this.agents.value = agent;
-    this.panel.title.textContent = agent < 0 ? "no agent chosen" : `agent ${agent}`;
-    this.panel.drawStrips();
-    this.draw();
   }
 
   destroy() {
@@ -232,6 +210,7 @@ class Player extends Picture {
     this.abort.abort();
     this.themes.disconnect();
     this.sizes.disconnect();
+    for (const view of this.views) view.destroy();
     fill(this.element);
   }
 
@@ -249,32 +228,22 @@ class Player extends Picture {
   }
 
   restyle() {
-    this.readColours(this.root);
-    this.swatches.forEach((canvas, kind) => this.drawSwatch(canvas, kind));
-    this.panel.drawStrips();
-    this.draw();
-  }
-
-  resize() {
-    this.panel.drawStrips();
-    if (this.trace.width) this.fit(this.stage.clientWidth || 400);
+    for (const view of this.views) view.restyle();
     this.draw();
   }
 
   draw() {
     this.drawn += 1;
-    const { trace } = this, frame = Math.floor(this.at), now = performance.now();
-    const round = Math.min(frame * trace.every, trace.rounds), words = `${round} / ${trace.rounds}`;
+    const now = performance.now(), frame = Math.floor(this.at),
+      numbers = !this.playing || now - this.panelAt > PANEL_MS;
+    const round = Math.min(frame * this.every, this.rounds), words = `${round} / ${this.rounds}`;
     if (this.clock.textContent !== words) {
       this.clock.textContent = words;
       this.slider.value = frame;
-      this.slider.setAttribute("aria-valuetext", `round ${round} of ${trace.rounds}`);
+      this.slider.setAttribute("aria-valuetext", `round ${round} of ${this.rounds}`);
     }
-    if (trace.width && this.view) this.drawField();
-    if (this.playing && now - this.panelAt <= PANEL_MS) return;
-    this.panelAt = now;
-    this.panel.draw();
-    if (trace.width) this.canvas.setAttribute("aria-label", this.description());
+    if (numbers) this.panelAt = now;
+    for (const view of this.views) view.show(this.at * this.every, numbers);
   }
 }
 
@@ -286,17 +255,4 @@ function button(label, picture, onclick) {
 function icon(name) {
   return s("svg", { viewBox: "0 0 16 16", class: "zp-icon", "aria-hidden": "true" },
     s("path", { d: ICONS[name] }));
-}
-
-function select(label, options, choose) {
-  const made = h("select", {
-    class: "zp-select", "aria-label": label,
-    onchange: (event) => choose(Number(event.target.value)) });
-  fill(made, ...options.map(([value, text]) => h("option", { value: String(value), text })));
-  return made;
-}
-
-function shown(value) {
-  if (value === null) return "none";
-  return Number.isInteger(value) ? String(value) : String(Number(value.toPrecision(6)));
 }
