@@ -15,7 +15,7 @@ def test_servers_must_join_again_after_a_resume() -> None:
     assert [row["slots"] for row in table.rows(1.0, running=True)] == [6]
     table.add_events([EventRow(3, 2.0, 0, "began", "", "", 1)])
     (row,) = table.rows(2.0, running=True)
-    assert (row["slots"], row["state"]) == (0, "lost")
+    assert (row["slots"], row["state"]) == (0, "left")
     table.add_events([EventRow(4, 3.0, 0, "server_mismatch", "b", "has no simulator", 0)])
     assert {row["server"]: row["why"] for row in table.rows(3.0, running=True)}[
         "b"

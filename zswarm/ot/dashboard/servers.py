@@ -134,11 +134,11 @@ class ServerTable(dict[str, ServerState]):
         """Follow events, in order."""
         for event in events:
             if event.event == RunEvent.BEGAN:
-                # After a resume, servers have to join again.
+                # The previous program released them; after a resume they join again.
                 for server in self.values():
                     server.leased = server.slots = 0
                     if server.state in HOLDING:
-                        server.state = "lost"
+                        server.state = "left"
             if event.server:
                 self[event.server].add_event(event)
 
