@@ -409,7 +409,7 @@ def test_a_hanging_server_is_restarted(site: Site, alone: str) -> None:
     """Its loop does nothing for as long as WatchdogSec, here made short."""
     second = site.servers[1]
     second.run(
-        f"mkdir -p {DROP_IN} && printf '[Service]\\nWatchdogSec=3\\n' > {DROP_IN}/short.conf && "
+        f"mkdir -p {DROP_IN} && printf '[Service]\\nWatchdogSec=10\\n' > {DROP_IN}/short.conf && "
         "systemctl daemon-reload"
     )
     second.run("systemctl restart zswarm-ss")

@@ -1,5 +1,6 @@
 """Runs with real processes on loopback give the same result through any failure."""
 
+import shutil
 import signal
 from pathlib import Path
 
@@ -133,9 +134,14 @@ def test_an_optimizer_killed_in_the_assessment_resumes_there(tmp_path: Path) -> 
 def test_a_stopped_optimizer_prints_how_to_resume(
     tmp_path: Path, number: int, code: int
 ) -> None:
-    stopped = run(tmp_path, "stopped", "--servers", "local")
-    wait_until(lambda: counted(tmp_path) > 100, "some trials are counted")
-    stopped.kill(number)
+    for _ in range(20):
+        stopped = run(tmp_path, "stopped", "--servers", "local")
+        wait_until(lambda: counted(tmp_path) > 0, "some trials are counted")
+        stopped.kill(number)
+        if stopped.wait() != 0:
+            break
+        # On a busy machine it had ended before.
+        shutil.rmtree(tmp_path / "runs")
     assert stopped.wait() == code
     assert "zswarm-ot resume runs/disturbed" in stopped.err.read_text()
     assert "Traceback" not in stopped.err.read_text()
