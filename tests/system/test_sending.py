@@ -133,3 +133,20 @@ def test_without_threads_a_call_is_refused_and_later_ones_are_made(
     sender.wait(60.0)
     assert made == ["second"]
     threads.close()
+
+
+def test_calls_are_made_where_no_further_thread_can_be_started(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    threads = Threads()
+    ends, sent = threading.Event(), threading.Event()
+    blocked = [Sender(threads, raised) for _ in range(FEW)]
+    for sender in blocked:
+        sender.send(ends.wait)  # type: ignore[arg-type]
+    wait_until(lambda: threads._taken == FEW)
+    with monkeypatch.context() as no_threads:
+        no_threads.setattr(threading.Thread, "start", lambda _: raised(RuntimeError()))
+        assert Sender(threads, raised).send(sent.set)
+    ends.set()
+    assert sent.wait(60.0)
+    threads.close()

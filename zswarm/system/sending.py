@@ -41,8 +41,13 @@ class Threads:
             if short and self._count < FEW:
                 self._start(1)
             elif short and not self._watched:
-                threading.Thread(target=self._watch, name="watch", daemon=True).start()
-                self._watched = True
+                with contextlib.suppress(
+                    RuntimeError
+                ):  # it cannot be started: those go on
+                    threading.Thread(
+                        target=self._watch, name="watch", daemon=True
+                    ).start()
+                    self._watched = True
             self._waiting += 1
         self._ready.put(sender)
 
