@@ -28,14 +28,17 @@ class Disk:
         self.path, self.told = path, list[tuple[str, float | None]]()
         self.connection = connect(path)
         self.connection.execute("CREATE TABLE words (id INTEGER PRIMARY KEY, word TEXT)")
-        self.commits = Commits(
-            path,
-            self.connection,
-            lambda line, waited_s: self.told.append((line, waited_s)),
-        )
+        self.commits = Commits(path, self.connection, self._report)
+        self._until_told = False
 
-    def fill(self) -> None:
-        """From now on SQLite reports a full disk."""
+    def _report(self, line: str, waited_s: float | None) -> None:
+        self.told.append((line, waited_s))
+        if self._until_told:
+            self.make_room()
+
+    def fill(self, until_told: bool = False) -> None:
+        """Have SQLite report a full disk from now on, or until it is told."""
+        self._until_told = until_told
         self.connection.execute("PRAGMA max_page_count = 1")  # no more than there are
 
     def make_room(self) -> None:
@@ -160,7 +163,9 @@ def test_a_full_disk_is_reported_once_and_its_end_with_the_seconds(disk: Disk) -
     disk.commits.sync()
     disk.until_told(2)
     line, waited_s = disk.told[1]
-    assert line == f"the disk of {disk.path.parent} takes data again: the run continues"
+    assert (
+        line == f"the disk of {disk.path.parent} can be written again: the run continues"
+    )
     assert waited_s is not None
     assert waited_s >= 0
     assert disk.written() == [0, 1, 2]
@@ -181,10 +186,8 @@ def test_what_waits_for_a_full_disk_reports_it_and_continues(
     disk: Disk, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
     monkeypatch.setattr(commits_module, "UNSYNCED_S", 0.0)
-    room = threading.Timer(0.05, disk.make_room)
-    disk.fill()
+    disk.fill(until_told=True)
     disk.commits.write((ADD, (7, LONG)))
-    room.start()
     if how == "rows":
         found = disk.commits.rows("SELECT id FROM words WHERE word = ?", LONG)
         assert found == [(7,)]
@@ -302,7 +305,7 @@ def test_a_file_is_written_after_what_was_recorded_before(
         (errno.ENOSPC, "is full"),
         (errno.EDQUOT, "is full"),
         (errno.EROFS, "is read-only"),
-        (errno.EIO, "does not take"),
+        (errno.EIO, "cannot be written"),
     ],
 )
 def test_writing_a_file_also_waits_and_keeps_the_old_contents(

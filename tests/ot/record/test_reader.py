@@ -160,6 +160,12 @@ def test_a_folder_without_an_experiment_is_not_a_run(folder: Path) -> None:
     )
 
 
+def test_a_folder_of_runs_is_not_a_run(folder: Path) -> None:
+    assert f"no run, but a folder of runs, such as {folder}; expected" in refusal(
+        folder.parent
+    )
+
+
 @pytest.mark.parametrize("body", [b"", b"\xff\xfe", b"name = 1", b"x = [" * 3000])
 def test_a_damaged_experiment_is_refused(folder: Path, body: bytes) -> None:
     (folder / "experiment.toml").write_bytes(body)

@@ -5,7 +5,6 @@ import hashlib
 import os
 import sqlite3
 import struct
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -413,11 +412,18 @@ class Disk:
     def __init__(self, record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
         self.lines: list[str] = []
         self._record, self._connection = record, record._database._connection
-        record.say = self.lines.append
+        self._until_told = False
+        record.say = self._say
         monkeypatch.setattr(commits_module, "RETRY_S", 0.001)
 
-    def fill(self) -> None:
-        """From now on SQLite reports a full disk."""
+    def _say(self, line: str) -> None:
+        self.lines.append(line)
+        if self._until_told:
+            self.make_room()
+
+    def fill(self, until_told: bool = False) -> None:
+        """Have SQLite report a full disk from now on, or until the record says so."""
+        self._until_told = until_told
         self._connection.execute("PRAGMA max_page_count = 1")  # no more than there are
 
     def make_room(self) -> None:
@@ -457,7 +463,7 @@ def test_outcomes_wait_for_room_on_a_full_disk(record: Record, disk: Disk) -> No
     disk.make_room()
     disk.until_said(2)
     assert disk.lines[1:] == [
-        f"the disk of {record.folder} takes data again: the run continues"
+        f"the disk of {record.folder} can be written again: the run continues"
     ]
     assert query(record.folder, "SELECT id, count FROM outcomes") == [
         (id_, 250) for id_ in range(1, 6)
@@ -477,8 +483,7 @@ def test_a_generation_waits_for_the_disk_that_is_behind(
 ) -> None:
     """Also an outage: the run does not go on with what it cannot record."""
     monkeypatch.setattr(commits_module, "UNSYNCED_S", 0.0)
-    disk.fill()
-    threading.Timer(0.05, disk.make_room).start()
+    disk.fill(until_told=True)
     record.finish(0, [b"genome" * 5000], np.array([1.0]), STATISTICS, {"at": 0})
     assert query(record.folder, "SELECT generation FROM generations") == [(0,)]
     disk.until_said(2)

@@ -206,7 +206,9 @@ class Commits:
                 self._query, self._rows = None, rows
             if self._outage_since is not None:
                 waited, self._outage_since = time.monotonic() - self._outage_since, None
-                line = f"the disk of {self._folder} takes data again: the run continues"
+                line = (
+                    f"the disk of {self._folder} can be written again: the run continues"
+                )
                 self._reports.append((line, waited))
             self._changed.notify_all()
 

@@ -39,7 +39,7 @@ TRANSIENT_SYSTEM = {
 OUTAGES = {
     "full": "is full: waiting for room",
     "read-only": "is read-only: waiting until it can be written",
-    "failing": "does not take what is written: trying again",
+    "failing": "cannot be written: trying again",
     "locked": "is locked by another program: waiting for its end",
 }
 SYSTEM_WORDS = {"full": os.strerror(errno.ENOSPC), "read-only": os.strerror(errno.EROFS)}

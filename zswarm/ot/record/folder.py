@@ -31,10 +31,15 @@ def check_run(folder: Path) -> None:
 
 
 def no_run(folder: Path) -> str:
-    """Return the beginning of an error message; it suggests the folder of that name in ``runs``."""
+    """Return the beginning of an error message.
+
+    It suggests the folder of that name in ``runs``, or a run in the folder.
+    """
     below, hint = RUNS / folder, ""
     if folder != below and not folder.exists() and os.path.isfile(below / EXPERIMENT):
         hint = f" (did you mean {clean(str(below))}?)"
+    elif os.path.isdir(folder) and (inside := sorted(folder.glob(f"*/{DATABASE}"))):
+        hint = f", but a folder of runs, such as {clean(str(inside[0].parent))}"
     return f"{clean(str(folder))}: no run{hint}; expected a folder"
 
 

@@ -23,6 +23,7 @@ from zswarm.ot.record.database import UNREADABLE, describe, read_only
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT, check_run, is_running
 from zswarm.ot.record.opening import RACING
 from zswarm.ot.record.trials import numbers, trials_of
+from zswarm.system.format import per_trial, with_trials
 from zswarm.system.text import clean, clean_all, html_table
 
 if TYPE_CHECKING:
@@ -96,11 +97,7 @@ class Run:
 
     @property
     def changed(self) -> list[str]:
-        """Keys of ``experiment.toml`` that were changed since the run began.
-
-        Raises:
-            ConfigError: as ``experiment``.
-        """
+        """Keys of ``experiment.toml`` that differ from the start; raises as ``experiment``."""
         file = experiment.load(self.folder / EXPERIMENT)
         try:
             now = clean_all(msgspec.to_builtins(file))
@@ -149,6 +146,11 @@ class Run:
         return bool(self.meta.get("relative"))
 
     @property
+    def fitness_trials(self) -> int:
+        """Trials whose sum a candidate's fitness is; 1 for a score, which covers all its games."""
+        return 1 if self.relative else self.experiment.problem.trials
+
+    @property
     def going_on(self) -> bool:
         """Return whether a program is running it now."""
         return is_running(self.folder)
@@ -159,7 +161,7 @@ class Run:
         """Return generation, finished_at, seconds, best, mean, evaluations and statistics of each.
 
         ``seconds`` counts from the end of the previous generation; ``best`` and ``evaluations``
-        include earlier generations, except ``best`` of ``relative`` fitness.
+        include earlier generations, except ``best`` of ``relative`` fitness. Fitness is a sum.
         """
         previous, evaluations, history = self.meta.get("created_at"), 0, []
         for generation, at, best, mean, count, statistics in self._generations():
@@ -185,7 +187,7 @@ class Run:
         return self.rows("SELECT count(*) FROM generations", tuple[int])[0][0]
 
     def best(self) -> float | None:
-        """Return the best fitness, as the last generation knows it."""
+        """Return the best fitness, as the last generation knows it: a sum, as in the record."""
         best = [row[2] for row in self._generations()]
         if self.relative or self._began["problem"].get("seeds") == "fresh":
             return best[-1] if best else None
@@ -282,7 +284,9 @@ class Run:
         return frames.flat(self.history())
 
     def _repr_html_(self) -> str:
-        best, held_out = self.best(), self.held_out and self.held_out.mean
+        best, champion = self.best(), self.held_out
+        held_out = None if champion is None else champion.mean
+        trials = self.fitness_trials
         label = "best score of the last generation" if self.relative else "best fitness"
         state = "running" if self.going_on else "stopped: zswarm.resume continues it"
         state = "finished" if self.finished else state
@@ -290,8 +294,8 @@ class Run:
             "folder": self.shown,
             "simulator": self.experiment.problem.simulator,
             "generations": f"{self.generations()} of {self.experiment.generations}, {state}",
-            label: "" if best is None else f"{best:.6g}",
-            "champion, held-out": "" if held_out is None else f"{held_out:.6g}",
+            label: "" if best is None else with_trials(best, trials),
+            "champion, held-out": "" if held_out is None else per_trial(held_out, trials),
             "history": self.history_hash or "",
         }
         return html_table({key: value for key, value in rows.items() if value})
@@ -373,9 +377,8 @@ class Run:
         try:
             found: Row = clean_all(msgspec.json.decode(text, type=dict[str, Any]))
         except (msgspec.DecodeError, RecursionError):
-            raise self._damaged(
-                "the statistics of a generation are not a JSON object"
-            ) from None
+            why = "the statistics of a generation are not a JSON object"
+            raise self._damaged(why) from None
         return found
 
     def _damaged(self, why: str) -> ConfigError:

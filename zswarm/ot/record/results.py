@@ -59,6 +59,6 @@ def result_after(folder: Path, complete: Experiment) -> Result | None:
         run.history_version,
         champion=run.held_out if whole else None,
         assessment_hash=run.meta.get("assessment_hash", "") if whole else "",
-        trials=1 if run.relative else run.experiment.problem.trials,
+        trials=run.fitness_trials,
         repeatable="repeatable" not in run.meta,
     )

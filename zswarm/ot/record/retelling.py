@@ -41,7 +41,7 @@ def timed(
             line = now + NEXT_S
             rest = (now - began) / done * (generations - done)
             say(
-                f"the optimizer repeats the recorded generations: {done} of {generations} done, "
+                f"replaying the recorded generations to the optimizer: {done} of {generations}, "
                 f"about {rest:.0f} s to go"
             )
         yield one

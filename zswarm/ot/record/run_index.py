@@ -24,8 +24,15 @@ SUMMARY = """
             THEN (SELECT best FROM generations ORDER BY generation DESC LIMIT 1)
             ELSE max(best) END,
         (SELECT value FROM meta WHERE key = 'history_hash'),
-        (SELECT value FROM meta WHERE key = 'assessment')
+        (SELECT value FROM meta WHERE key = 'assessment'),
+        (SELECT json_extract(value, '$.problem.trials') FROM meta
+            WHERE key = 'experiment' AND json_valid(value)
+            AND NOT EXISTS (SELECT 1 FROM meta WHERE key = 'relative'))
     FROM generations"""
+
+SummaryRow = tuple[
+    int, int | None, float | None, float | None, str | None, str | None, int | None
+]
 
 
 def runs_below(paths: Sequence[Path], left_out: list[str] | None = None) -> list[Run]:
@@ -92,8 +99,8 @@ def summary(folder: Path) -> dict[str, Any]:
         with read_only(folder / DATABASE) as database:
             row = database.execute(SUMMARY).fetchone()
             texts = [text for (text,) in database.execute(epochs.TEXTS)]
-        kind = tuple[int, int | None, float | None, float | None, str | None, str | None]
-        generations, candidates, at, best, history, held_out = msgspec.convert(row, kind)
+        row = msgspec.convert(row, SummaryRow)
+        generations, candidates, at, best, history, held_out, trials = row
         champion = msgspec.json.decode(held_out or "null", type=HeldOut | None)
     except msgspec.ValidationError as error:
         return {"run": shown, "error": f"damaged: its table generations: {error}"}
@@ -107,6 +114,7 @@ def summary(folder: Path) -> dict[str, Any]:
         "generations": generations,
         "best": best,
         "champion": None if champion is None else msgspec.structs.asdict(champion),
+        "trials": max(1, trials or 1),  # whose sum fitness is; 1 for scores
         "candidates": candidates or 0,
         "finished_at": at,
         "history_hash": clean(history) if history else None,
