@@ -1,5 +1,6 @@
 """Use one profile for generated examples: no deadline, and fixed examples on CI."""
 
+import contextlib
 import gc
 import itertools
 import os
@@ -18,6 +19,9 @@ settings.load_profile("ci" if os.environ.get("CI") else "local")
 # Hundreds of programs are started: each would compile the Python that it imports.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+# When checks no longer begin a test (.ci/run), in seconds since 1970.
+CHECKS_END = float(os.environ.get("CHECKS_END", "inf"))
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Even if a shell started pytest in the background, programs of tests must receive Ctrl-C.
@@ -84,7 +88,7 @@ def pytest_collection_modifyitems(
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup() -> None:
     """Skip what would begin too late, so that checks on a very slow machine end with a result."""
-    if time.time() > float(os.environ.get("CHECKS_END", "inf")):
+    if time.time() > CHECKS_END:
         pytest.skip("out of time")
 
 
@@ -97,10 +101,14 @@ def pytest_configure(config: pytest.Config) -> None:
         and not hasattr(config, "workerinput")
         and config.getoption("numprocesses", None)
     ):
-        # A failure shows up in its test.
-        subprocess.run(
-            [sys.executable, "-c", EVERY_KERNEL], capture_output=True, check=False
-        )
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            # A failure shows up in its test.
+            subprocess.run(
+                [sys.executable, "-c", EVERY_KERNEL],
+                capture_output=True,
+                check=False,
+                timeout=min(900, max(0, CHECKS_END - time.time())),
+            )
 
 
 @pytest.fixture(scope="module", autouse=True)
