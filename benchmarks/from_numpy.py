@@ -14,7 +14,7 @@ from pathlib import Path
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "from-numpy.md"
 STEPS = {  # the blocks of the page that make a step's module
-    "1. numpy, as one writes it": (0, 1),
+    "1. plain numpy": (0, 1),
     "2. the same, with equal bits": (0, 2),
     "3. compiled rules, turn by turn": (0, 3, 4),
     "4. whole trials compiled": (0, 3, 5),

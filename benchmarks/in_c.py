@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 
+from zswarm.sims.epuck import reference_models, sensors
+
 EXACT = ("-O2", "-ffp-contract=off", "-Wno-psabi")
 FAST = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math")
 SOURCES = Path(__file__).parent / "kernels"
@@ -41,6 +43,14 @@ def library(name: str, options: tuple[str, ...]) -> ctypes.CDLL:
         return ctypes.CDLL(str(built))
 
 
+def arrays(
+    network: Any, genomes: list[bytes], participants: np.ndarray, metrics: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a row of parameters for each trial, and room for its fitness and metrics."""
+    rows = np.ascontiguousarray(network.parameters(genomes)[participants[:, 0]])
+    return rows, np.empty(len(rows)), np.empty((len(rows), metrics))
+
+
 class Arena:
     """Play arena aggregation in C, with a tanh network of 8 neurons and one iteration."""
 
@@ -56,9 +66,8 @@ class Arena:
         seeds: np.ndarray,
     ) -> Any:
         """Return fitness (trials,) and metrics (trials, 3)."""
-        rows = np.ascontiguousarray(network.parameters(genomes)[participants[:, 0]])
+        rows, fitness, metrics = arrays(network, genomes, participants, 3)
         seeds = seeds.astype(np.uint64)
-        fitness, metrics = np.empty(len(seeds)), np.empty((len(seeds), 3))
         world = simulator.world
         names = "side sight radius half_stride half_turn cells_per_metre".split()
         lengths = np.array([getattr(world, name) for name in names])
@@ -96,11 +105,10 @@ class EmergencyExit:
         seeds: np.ndarray,
     ) -> Any:
         """Return fitness (trials,) and metrics (trials, 2)."""
-        rows = np.ascontiguousarray(network.parameters(genomes)[participants[:, 0]])
+        rows, fitness, metrics = arrays(network, genomes, participants, 2)
         laid_out = simulator.fields
         field_of_trial = laid_out.rows(seeds)
         fields = laid_out.cached
-        fitness, metrics = np.empty(len(seeds)), np.empty((len(seeds), 2))
         numbers = (
             len(seeds),
             simulator.settings.steps,
@@ -116,6 +124,56 @@ class EmergencyExit:
             field_of_trial.ctypes,
             rows.ctypes,
             ctypes.c_int64(rows.shape[1]),
+            fitness.ctypes,
+            metrics.ctypes,
+        )
+        return fitness, metrics
+
+
+class Epuck:
+    """Play epuck in C: aggregation, foraging or grid exploration, reference model 1.2.
+
+    The network is a feed-forward one without hidden nodes.
+    """
+
+    def __init__(self, options: tuple[str, ...]) -> None:
+        self._play = library("epuck", options).play
+
+    def evaluate(
+        self,
+        simulator: Any,
+        network: Any,
+        genomes: list[bytes],
+        participants: np.ndarray,
+        seeds: np.ndarray,
+    ) -> Any:
+        """Return fitness (trials,) and metrics (trials, 1)."""
+        rows, fitness, metrics = arrays(network, genomes, participants, 1)
+        seeds = seeds.astype(np.uint64)
+        world = simulator.world
+        directions = np.zeros((2, 8))
+        directions[:, :4] = reference_models.DIRECTIONS_X, reference_models.DIRECTIONS_Y
+        tables = np.vstack(
+            [
+                *(sensors.RAY_X, sensors.RAY_Y, sensors.ANGLES),
+                *(sensors.ANGLES_X, sensors.ANGLES_Y, directions),
+            ]
+        )
+        numbers = (
+            *(len(seeds), world.steps, world.number, world.mission),
+            *(len(world.walls), len(world.floor)),
+        )
+        self._play(
+            *map(ctypes.c_int64, numbers),
+            np.array([world.hearing, world.around, world.free]).ctypes,
+            world.constants.ctypes,
+            world.walls.ctypes,
+            world.floor.ctypes,
+            world.greys.ctypes,
+            tables.ctypes,
+            rows.ctypes,
+            ctypes.c_int64(rows.shape[1]),
+            seeds.ctypes,
             fitness.ctypes,
             metrics.ctypes,
         )
