@@ -30,10 +30,11 @@ plugins:            BASE
 kernels:            plugins system.temporary
 protocol:           BASE
 nets:               BASE kernels plugins
-sims:               BASE kernels
+sims:               BASE kernels sims.toolbox
 sims.adapters:      BASE sims
 sims.epuck:         BASE kernels sims
 sims.foreign:       BASE plugins sims
+sims.toolbox:       kernels
 experiment:         BASE plugins protocol
 evaluate:           BASE kernels nets plugins protocol sims
 probe:              evaluate kernels nets protocol sims

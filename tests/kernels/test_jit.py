@@ -6,17 +6,21 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from types import FunctionType, SimpleNamespace
 
 import numpy as np
 import pytest
 
 import zswarm
 from tests.installed_parts import playable
+from tests.integration.programs import install
 from zswarm.kernels import cache, jit
 from zswarm.kernels.cache import cache_folder
 from zswarm.kernels.lanes import load, store
+from zswarm.nets import bulk, fully_meshed
 from zswarm.plugins import registry as plugins
 from zswarm.plugins.version_hash import cache_hash
+from zswarm.sims.epuck import trial
 
 PACKAGE = Path(zswarm.__file__).parent
 TINY = """
@@ -122,6 +126,40 @@ def test_machines_of_unlike_processors_share_a_cache_and_each_finds_its_own_kern
     assert first[2] != second[2]
     assert run(SQUASH, tree, cache) == ["0.5", "1", first[2]]
     assert run(SQUASH, tree, cache, **generic) == ["0.5", "1", second[2]]
+
+
+@pytest.mark.long
+def test_kernels_are_found_wherever_the_code_is_installed_and_with_any_plugin(
+    tree: Path,
+) -> None:
+    """A plug-in has another folder; zswarm's own kernels stay where they are."""
+    cache, other = tree / "cache", tree / "other"
+    shutil.copytree(tree / "zswarm", other / "zswarm")
+    for file in (other / "zswarm").rglob("*.py"):
+        os.utime(file, (0, 0))
+    result, _, folder = run(SQUASH, tree, cache)
+    assert run(SQUASH, other, cache) == [result, "1", folder]
+    path = install(tree, "zswarm_more", "", "more = zswarm_more:More")
+    path = os.pathsep.join([str(other), path])
+    found, hits, with_plugin = run(SQUASH, other, cache, PYTHONPATH=path)
+    assert (found, hits) == (result, "1")
+    assert with_plugin != folder
+
+
+def test_a_function_that_calls_a_plugin_is_none_of_the_bundled() -> None:
+    from zswarm.kernels.compiler import is_bundled
+
+    def step() -> None:
+        """Stand for a plug-in's."""
+
+    ours = fully_meshed.FullyMeshed.step
+    for part, bundled in ((ours, True), (SimpleNamespace(py_func=step), False)):
+        names = {**vars(bulk), "part_step": part}
+        assert is_bundled(FunctionType(bulk.decide.__code__, names)) is bundled
+    assert not is_bundled(step)
+    assert is_bundled(ours.py_func)
+    # ``place`` is called by ``start``, and reads an attribute that is named so.
+    assert is_bundled(trial.place.py_func)
 
 
 WARM_UP = """

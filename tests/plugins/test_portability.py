@@ -63,7 +63,7 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Write]:
         ),
         (
             "way = random.gauss(0, 1)",
-            "random.gauss may change with its version; draw from",
+            "random.gauss is not seeded by the trial, and may change with its version; draw",
         ),
         (
             "way = np.sin(moves)",

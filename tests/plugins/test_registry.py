@@ -198,6 +198,17 @@ def test_the_hash_of_a_plugin_covers_bundled_parts_and_libraries_it_uses(
     assert plugins.libraries(found) == ["gymnasium", "some-physics"]
 
 
+def test_a_package_is_hashed_with_the_modules_that_it_hands_on(
+    install: Install,
+) -> None:
+    install(
+        {"swarm_extra.py": "from zswarm.sims.toolbox import ray"},
+        "[zswarm.simulators]\nlabyrinth = swarm_extra:Labyrinth\n",
+    )
+    found = {path.name for path in plugins.source_files("simulator", "labyrinth")}
+    assert {"bodies.py", "sensor_noise.py", "sensors.py"} < found
+
+
 def test_an_optimizer_plugin_does_not_change_the_cache_hash(install: Install) -> None:
     before = cache_hash()
     install(

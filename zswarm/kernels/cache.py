@@ -3,7 +3,8 @@
 numba's own cache looks only at the file that defines a function, so it would return outdated code
 after a change elsewhere. The cache folder is therefore named by a hash of all code that may be
 compiled and of the processor (``version_hash.cache_hash``). Each change makes a new folder; folders
-that were not used for 30 days are deleted.
+that were not used for 30 days are deleted. zswarm's own kernels have a folder that no plug-in
+changes: all installations of the same code share it.
 """
 
 import contextlib
@@ -28,14 +29,17 @@ UNUSED_S = 30 * 86400.0
 _claims: list[int] = []  # descriptors, held until the process and its forks end
 
 
-def cache_folder() -> Path:
+def cache_folder(code: str | None = None) -> Path:
     """Create the folder below the first usable candidate.
 
     The candidates are ``$ZSWARM_CACHE``, systemd's ``$CACHE_DIRECTORY``, the user's cache folder
     and the temporary folder.
+
+    Args:
+        code: hash of the code that may be compiled; by default of all, with plug-ins.
     """
     for candidate in _candidates():
-        folder = candidate / cache_hash()
+        folder = candidate / (code or cache_hash())
         try:
             folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         except OSError:

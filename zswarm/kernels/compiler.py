@@ -15,6 +15,7 @@ import numpy as np
 from zswarm.kernels.cache import cache_folder, claimed
 from zswarm.kernels.signatures import STEP, STEP_SIGNATURE, ArrayType
 from zswarm.plugins.registry import plugin_files
+from zswarm.plugins.version_hash import PACKAGE, bundled_cache_hash
 
 os.environ["NUMBA_CACHE_DIR"] = str(claimed(cache_folder()))
 # SVML's functions differ from LLVM's in the last bits.
@@ -37,25 +38,37 @@ numba.config.reload_config()  # reads them again, in case numba was imported bef
 
 from zswarm.kernels import vectors as vectors  # noqa: E402  teaches numba the functions of lanes.py
 
+BUNDLED = claimed(cache_folder(bundled_cache_hash()))  # kernels that call no plug-in
+# The folders that its hash covers.
+COMPILED = tuple(f"{PACKAGE / name}{os.sep}" for name in ("kernels", "nets", "sims"))
 # Load now what the first kernel needs, so that slots inherit it from the fork server. Where all are
 # zswarm's and compiled, that is numba's runtime, and not its compiler, which takes half a second.
 rtsys.initialize(numba.core.registry.cpu_target.target_context)
-if plugin_files() or not any(Path(os.environ["NUMBA_CACHE_DIR"]).rglob("*.nbi")):
+if plugin_files() or not any(BUNDLED.rglob("*.nbi")):
     numba.core.registry.cpu_target.typing_context.refresh()
     numba.core.registry.cpu_target.target_context.refresh()
 
 
 class Cache(FunctionCache):
-    """The compiled forms of one function on disk, safe for programs that compile at once."""
+    """The compiled forms of one function on disk, safe for programs that compile at once.
+
+    numba's cache depends on where a file is, and in some versions on its time. zswarm's own
+    functions are found wherever they are installed: their folder's name stands for the code.
+    """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
         locator = self._impl.locator
+        stamp = locator.get_source_stamp()
+        self._is_ours = is_bundled(function)
+        if self._is_ours:
+            file = Path(function.__code__.co_filename).relative_to(PACKAGE)
+            self._cache_path = locator._cache_path = str(BUNDLED / file.parent)
+            stamp = ""
         self._cache_file = CacheFile(  # type: ignore[no-untyped-call]
-            self._cache_path, self._impl.filename_base, locator.get_source_stamp()
+            self._cache_path, self._impl.filename_base, stamp
         )
         self.index = Path(self._cache_file._index_path)
-        self._is_ours = function.__module__.startswith("zswarm.")
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """Return a compiled form, or None.
@@ -80,6 +93,25 @@ class CacheFile(IndexDataCacheFile):
 
     def _data_name(self, number: int) -> str:  # noqa: ARG002
         return f"{self._index_name.removesuffix('.nbi')}.{secrets.token_hex(8)}.nbc"
+
+
+@functools.cache
+def is_bundled(function: Callable[..., Any]) -> bool:
+    """Return whether a function and those that it calls by name are zswarm's own."""
+    found: set[Callable[..., Any]] = set()
+    waiting = [function]
+    while waiting:
+        one = waiting.pop()
+        if one in found:
+            continue
+        if not one.__code__.co_filename.startswith(COMPILED):
+            return False
+        found.add(one)
+        # Attributes are among a function's names, too; one may be called as a function is.
+        names: dict[str, Any] = one.__globals__
+        named = [names[name] for name in one.__code__.co_names if name in names]
+        waiting += [each.py_func for each in named if hasattr(each, "py_func")]
+    return True
 
 
 def is_cached(function: Callable[..., Any]) -> bool:

@@ -19,6 +19,8 @@ PRODUCT = "adds floats in no fixed order; write the sum of products as a loop"
 LINALG = "has other bits on other machines; write it with + - * / and square roots"
 NORM = f"adds floats in no fixed order; use norm or distances {PORTABLE}"
 DRAW = "may change with its version; draw from zswarm.kernels.random.Stream(seed)"
+GLOBAL_DRAW = f"is not seeded by the trial, and {DRAW}"
+SEEDED = {"default_rng", "Generator", "PCG64", "Random", "RandomState", "SeedSequence"}
 BUILTIN_SUM = (
     f"adds floats differently from Python 3.12 on; use ordered_sum {PORTABLE}, or int(sum(...)) "
     "for integers"
@@ -231,7 +233,7 @@ class _Reader:
         if library in {"numpy", "math", "cmath"} and name:
             return _of_library(full.replace("numpy.", "np."), name)
         if library == "random" and name and name not in HARMLESS:
-            return f"{full} {DRAW}"
+            return f"{full} {_of_generator(name)}"
         if isinstance(node, ast.Name) or node not in self._arguments:
             return ""
         modules = {each.partition(".")[0] for each in self._source.imported.values()}
@@ -247,10 +249,15 @@ class _Reader:
         return any(map(_is_condition, (of, self._arguments.get(node))))
 
 
+def _of_generator(name: str) -> str:
+    """Return what is wrong with a function that draws, or makes a generator that does."""
+    return DRAW if name.partition(".")[0] in SEEDED else GLOBAL_DRAW
+
+
 def _of_library(shown: str, name: str) -> str:
     """Return what is wrong with a function of numpy or math; "" if nothing is."""
     if name.startswith("random.") and name.partition(".")[2] not in HARMLESS:
-        return f"{shown} {DRAW}"
+        return f"{shown} {_of_generator(name.partition('.')[2])}"
     if name.startswith(("linalg.", "fft.")):
         return f"{shown} {NORM if name == 'linalg.norm' else LINALG}"
     if name in TRANSCENDENTAL:

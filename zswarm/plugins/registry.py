@@ -230,7 +230,7 @@ def _imported(file: Path) -> set[Path]:
     found = set[Path]()
     for module, names in IMPORT.findall(_text(file)):
         path = PACKAGE.joinpath(*module.split("."))
-        found.add(path.with_suffix(".py"))
+        found.update((path.with_suffix(".py"), path / "__init__.py"))
         found.update(path / f"{name}.py" for name in re.findall(r"\w+", names))
     return {path for path in found if path.is_file()}
 

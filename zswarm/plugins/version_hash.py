@@ -6,7 +6,8 @@ itself plays trials (``LIBRARIES`` of a module), also its version, the processor
 and pymunk's compiled module. Servers with another hash than the optimizer's are reported and not
 used.
 
-The cache hash names the folder of compiled kernels. It covers all code that may be compiled, and
+The cache hash names the folder of compiled kernels; those that call no function of a plug-in have
+one that plug-ins do not change. It covers all code that may be compiled, and
 the processor, since machines with different processors may share a home folder: numba distinguishes
 them in one folder, but two that compile at the same time choose the same file name, and then one
 runs the other's machine code.
@@ -126,9 +127,18 @@ def lacking(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
 @cache
 def cache_hash() -> str:
     """Return 32 hex digits for all code that may be compiled here, and for the processor."""
+    return digest([*_compiled(), *plugins.plugin_files()], _processor())
+
+
+@cache
+def bundled_cache_hash() -> str:
+    """Return the cache hash without plug-ins."""
+    return digest(_compiled(), _processor())
+
+
+def _compiled() -> list[Path]:
     folders = [PACKAGE / "nets", PACKAGE / "sims"]
-    bundled = [file for folder in folders for file in regular(folder.rglob("*.py"))]
-    return digest([*bundled, *plugins.plugin_files()], _processor())
+    return [file for folder in folders for file in regular(folder.rglob("*.py"))]
 
 
 def digest(files: Iterable[Path], text: str = "") -> str:

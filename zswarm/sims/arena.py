@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from zswarm.config.meta import PartSettings, about, above, within
+from zswarm.config.meta import PartSettings, about, above, only_with, within
 from zswarm.errors import ConfigError
 from zswarm.kernels.lanes import LANES
 from zswarm.kernels.portable import PI, atan2
@@ -37,6 +37,8 @@ ABOUT = 0.1  # of the truth: an opinion within this range counts as right
 
 Metres = Annotated[float, Meta(ge=1e-3, le=1e4)]
 
+FORAGING = only_with(task="foraging")
+
 
 class ArenaSettings(PartSettings, frozen=True):
     """Settings of ``[problem.settings]``."""
@@ -54,13 +56,15 @@ class ArenaSettings(PartSettings, frozen=True):
         Metres, about("m, radius of a robot; its wheels are 2 `radius` apart")
     ] = 0.1
     speed: Annotated[float, within(0, 1e3, "m/s, maximum of a wheel")] = 0.3
-    items: Annotated[int, within(1, 1_000, "items in the room (foraging)")] = 8
+    items: Annotated[int, within(1, 1_000, "items in the room (foraging)"), FORAGING] = 8
     nest: Annotated[
-        Metres, about("m, width of the nest along the left wall (foraging)")
+        Metres, about("m, width of the nest along the left wall (foraging)"), FORAGING
     ] = 0.5
-    noise: Annotated[float, within(0, 1e3, "maximum error of a reading (consensus)")] = (
-        0.5
-    )
+    noise: Annotated[
+        float,
+        within(0, 1e3, "maximum error of a reading (consensus)"),
+        only_with(task="consensus"),
+    ] = 0.5
 
 
 class Arena(Teams):

@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta
 
-from zswarm.config.meta import PartSettings, about, within
+from zswarm.config.meta import PartSettings, about, only_with, within
 from zswarm.errors import ConfigError
 from zswarm.kernels.jit import STEP, Step, inline, int64, kernel, void
 from zswarm.kernels.lanes import LANES
@@ -39,6 +39,7 @@ LANES_REACH = 2**31  # lanes find a cell by a 32-bit index
 FEWEST = 2
 
 Length = Annotated[int, Meta(ge=1, le=1_000)]
+RANDOM = only_with(field="random")
 RUNS = -1  # in place of a seed: trials have those of the run
 
 
@@ -50,21 +51,26 @@ class EmergencyExitSettings(PartSettings, frozen=True):
         about("fields drawn from the trial's seed, or FREVO's stadium with 72 agents"),
     ] = "random"
     steps: Annotated[int, within(1, 1_000_000, "rounds of a trial")] = 50
-    width: Annotated[Length, about("cells of a random field; not above `height`")] = 20
-    height: Annotated[Length, about("cells of a random field")] = 20
+    width: Annotated[
+        Length, about("cells of a random field; not above `height`"), RANDOM
+    ] = 20
+    height: Annotated[Length, about("cells of a random field"), RANDOM] = 20
     agents: Annotated[
-        int, within(1, 1_000, "robots of a random field; the stadium has 72")
+        int, within(1, 1_000, "robots of a random field; the stadium has 72"), RANDOM
     ] = 10
     exits: Annotated[
-        int, within(1, 10_000, "exits of a random field; the stadium has its own")
+        int, within(1, 10_000, "exits of a random field; the stadium has its own"), RANDOM
     ] = 5
-    blockades: Annotated[int, within(0, 10_000, "blocked cells of a random field")] = 20
+    blockades: Annotated[
+        int, within(0, 10_000, "blocked cells of a random field"), RANDOM
+    ] = 20
     seed: Annotated[
         Annotated[int, Meta(ge=RUNS, lt=2**48)],
         about(
             "seed of the first field; trials have `seed`, `seed` + 1, ...; -1: the run's seeds, "
             "which may be fresh"
         ),
+        RANDOM,
     ] = 0
 
 

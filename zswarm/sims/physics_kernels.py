@@ -9,7 +9,7 @@ from zswarm.kernels.jit import float32, float64, int64, kernel, void
 from zswarm.kernels.portable import cos, sin
 from zswarm.kernels.signatures import Float32Rows, Float64Rows, Float64s, Int64s
 from zswarm.sims.robot_interface import velocity
-from zswarm.sims.toolbox import inverse, to_disc, to_rectangle, to_square
+from zswarm.sims.toolbox.sensors import inverse, to_disc, to_rectangle, to_square
 
 SECTORS = 8  # of a laser scan
 SCAN = tuple(f"scan_{sector}" for sector in range(SECTORS))  # from the right to the left

@@ -26,9 +26,11 @@ RECORDED = {
     ("grid-exploration", 16): (-299050.0, 4026.0),
 }
 T_95 = 2.776  # Student's t of four degrees of freedom: two times three runs
-# Without SCA, whose scores differ: docs/epuck.md says by how much.
+# docs/epuck.md says how much the runs of AutoMoDe's missions depend on two starts.
 MISSIONS = ("aggregation", "foraging", "gridexploration")
-MISSIONS += tuple(f"chocolate_{mission}" for mission in ("aac", "spc", "lcn", "cfa"))
+MISSIONS += tuple(
+    f"chocolate_{mission}" for mission in ("aac", "sca", "spc", "lcn", "cfa")
+)
 
 
 @cache

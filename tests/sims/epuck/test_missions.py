@@ -14,6 +14,7 @@ from zswarm.sims.epuck import generated, missions, trial
 from zswarm.sims.epuck.arenas import HEXAGON, THIRD, TRIANGLE, disc
 from zswarm.sims.epuck.missions import NAMES
 from zswarm.sims.epuck.simulator import Epuck, EpuckSettings
+from zswarm.sims.epuck.walls import square_to
 from zswarm.sims.epuck.world import ANGLE, RADIUS, TOUCHES, X, Y
 
 FAR = [(0.9, 0.9 - 0.08 * robot) for robot in range(20)]  # where no mission scores
@@ -99,6 +100,26 @@ def test_robots_start_apart_in_the_disc() -> None:
             assert (apart[~np.eye(20, dtype=bool)] >= 2 * RADIUS).all()
             assert (np.sqrt(x * x + y * y) <= 1.2).all()
             assert (made.robots[ANGLE] >= 0.0).all()
+
+
+def test_robots_start_before_the_shelter_is_built() -> None:
+    """As in ARGoS: some overlap the shelter's walls, none those of the arena."""
+    made = world(20, "sca")
+    inner = outer = 0
+    with interpreted():
+        for seed in range(10):
+            trial.start(made, np.uint64(seed))
+            for index, wall in enumerate(made.walls):
+                squares = [
+                    square_to(wall, *made.robots[[X, Y], one]) for one in range(20)
+                ]
+                overlaps = sum(square < RADIUS * RADIUS for square in squares)
+                if index < made.outer_walls:
+                    outer += overlaps
+                else:
+                    inner += overlaps
+    assert inner > 0
+    assert outer == 0
 
 
 def test_generated_missions_have_the_published_distribution() -> None:

@@ -77,7 +77,7 @@ ANGLES = np.array([PI / float(np.float32(divisor)) for divisor in DIVISORS])
 ANGLES_X, ANGLES_Y = unit_vectors(ANGLES.tolist())
 FARTHEST = 2.5  # distance / intensity at which a lamp is seen
 DECAY = 2.0  # of light, per distance / intensity
-WALL_Z = 0.08  # height of the highest wall
+WALL_Z = 0.08  # height of the outer walls
 GROUND_AHEAD, GROUND_ASIDE = 0.03, 0.009  # of the centre
 
 

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from zswarm.config.meta import PartSettings, about, within
+from zswarm.config.meta import PartSettings, about, only_with, within
 from zswarm.kernels.lanes import LANES
 from zswarm.sims.epuck import generated, missions, trial
 from zswarm.sims.epuck.arenas import wall_rows
@@ -78,7 +78,9 @@ class EpuckSettings(PartSettings, frozen=True):
         within(0, 100_000, "s, duration of a trial; 0: that of the published mission"),
     ] = 0.0
     mission_seed: Annotated[
-        int, within(0, 2**63 - 1, "seed from which a generated mission is drawn")
+        int,
+        within(0, 2**63 - 1, "seed from which a generated mission is drawn"),
+        only_with(mission="generated"),
     ] = 0
 
 
@@ -95,7 +97,7 @@ class Epuck(Teams):
         1.2-machine: as 1.2; but 8: 0, 1, or 1/2 for grey; 9: n; 14: random, uniform in 0..1.
     Action: 0-1: left and right wheel, 0 is -12 cm/s and 1 is 12 cm/s.
     Turns: all robots at once, ten a second. A command takes effect in the next step.
-    Start: places uniform in radius and angle in the disc of radius 1.2 m, headings uniform.
+    Start: places uniform in the disc of radius 1.2 m, headings uniform; docs/epuck.md has more.
     End: after the duration of the mission.
     Fitness: aggregation, aac: robots in the black spot, summed over steps. foraging: deliveries.
         grid-exploration: minus the mean over 100 cells of the steps since the last visit, summed

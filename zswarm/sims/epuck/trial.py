@@ -77,7 +77,10 @@ def place(world, robot):
 
 @inline(counts=False, inner=True)
 def is_free(world, robot):
-    """Return whether a robot may start where it is: it overlaps no wall and no other robot."""
+    """Return whether a robot may start where it is: it overlaps no wall and no other robot.
+
+    ARGoS builds SCA's shelter after it has placed the robots, so robots may overlap its walls.
+    """
     robots = world.robots
     spots = world.floor.shape[0] if world.start == OFF_SPOTS else 0
     if missions.on_spots(world, robot, 0, spots):
@@ -92,7 +95,8 @@ def is_free(world, robot):
         dy = robots[Y, other] - robots[Y, robot]
         if other != robot and dx * dx + dy * dy < 4.0 * RADIUS * RADIUS:
             return False
-    for wall in range(world.walls.shape[0]):
+    walls = world.outer_walls if world.mission == missions.SCA else world.walls.shape[0]
+    for wall in range(walls):
         square = square_to(world.walls[wall], robots[X, robot], robots[Y, robot])
         if square < RADIUS * RADIUS:
             return False

@@ -1,9 +1,4 @@
-"""Bodies and sensors for simulators; docs/toolbox.md is the data sheet.
-
-Each function is compiled where a kernel calls it, may also be called from Python, and has the same
-bits in both. Lengths are in any one unit, angles in radians, from the x axis towards the y axis;
-all numbers are float64.
-"""
+"""Sensors: what robots see of walls and of each other."""
 
 # mypy: disable-error-code=no-untyped-def
 # because numba infers the types of kernels.
@@ -12,32 +7,8 @@ import numpy as np
 
 from zswarm.kernels.jit import inline, sqrt
 from zswarm.kernels.portable import atan2, cos, sin
-from zswarm.kernels.random import draw_normal, draw_uniform
 
 STEEP = 1e12  # in place of 1 / 0
-
-
-# ---- bodies
-
-
-@inline(counts=False)
-def drive(x, y, heading, left, right, wheels, seconds):
-    """Move a robot with two wheels for a step; return its new x, y and heading.
-
-    It moves as far as its middle does, in the direction that it has in the middle of its arc.
-
-    Args:
-        left, right: speeds of the wheels, in lengths per second.
-        wheels: their distance.
-        seconds: of the step.
-    """
-    turned = (right - left) / wheels * seconds
-    middle = heading + 0.5 * turned
-    way = 0.5 * (left + right) * seconds
-    return x + way * cos(middle), y + way * sin(middle), heading + turned
-
-
-# ---- sensors
 
 
 @inline(counts=False)
@@ -157,27 +128,3 @@ def inverse(x):
     if abs(x) * STEEP < 1.0:
         return -STEEP if x < 0.0 else STEEP
     return 1.0 / x
-
-
-# ---- noise
-
-
-@inline(counts=False)
-def disturbed(reading, most, stream):
-    """Return a reading of 0 to 1 with uniform noise of up to ``most``, limited to 0 to 1.
-
-    Args:
-        stream: (1,) uint64, as for ``zswarm.kernels.random.draw_uniform``.
-    """
-    noisy = reading + most * (2.0 * draw_uniform(stream) - 1.0)
-    return min(max(noisy, 0.0), 1.0)
-
-
-@inline(counts=False)
-def blurred(reading, deviation, stream):
-    """Return a reading with normally distributed noise of this deviation.
-
-    Args:
-        stream: (1,) uint64, as for ``zswarm.kernels.random.draw_normal``.
-    """
-    return reading + deviation * draw_normal(stream)
