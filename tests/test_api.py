@@ -156,6 +156,22 @@ def test_an_experiment_of_parts_that_are_not_installed_can_be_loaded() -> None:
             r"such as \['nnga'\], not 'nnga'",
         ),
         (lambda: list(zswarm.start("stadium")), "with zswarm.start"),
+        (
+            lambda: zswarm.run("stadium", servers=3),  # type: ignore[call-arg]
+            r"'servers' is no argument of zswarm.run, .*, \{'cluster.servers': 3\}\)$",
+        ),
+        (
+            lambda: zswarm.start("stadium", generations=5),  # type: ignore[call-arg]
+            r"\{'generations': 5\}",
+        ),
+        (
+            lambda: zswarm.run("stadium", settings={"seed": 2}),  # type: ignore[call-arg]
+            r"\{'seed': 2\}",
+        ),
+        (
+            lambda: zswarm.study("stadium", repeats=4),  # type: ignore[call-arg]
+            r"takes experiment, repeat, grid, .*\{'optimizer.population': 100\}",
+        ),
     ],
 )
 def test_arguments_of_a_wrong_type_are_refused_with_what_was_expected(
@@ -340,6 +356,7 @@ def test_outcomes_are_returned_by_trial_for_any_seeds(cluster: zswarm.Connection
         "escaped": (5, 3),
         "rounds": (5, 3),
     }
+    assert repr(own) == "CandidateOutcomes(fitness: 5 x 3, metrics: escaped, rounds)"
     unseen = cluster.outcomes(problem, genomes, seeds=[2**63 + 1, 8])
     assert unseen.fitness.shape == (5, 2)
     assert not np.isin(unseen.fitness, own.fitness).all()
@@ -679,6 +696,13 @@ def test_runs_of_a_study_share_a_connection_and_can_be_resumed(
     assert all(run.experiment.cluster == cluster.options for run in runs)
     again = zswarm.study(runs[0].folder.parent, connection=cluster)
     assert [run.history_hash for run in again] == [run.history_hash for run in runs]
+    whole = str(runs[0].folder.parent)
+    with pytest.raises(
+        zswarm.ConfigError, match=r"read one of them, .* all of them with zswarm\.tidy"
+    ) as refused:
+        zswarm.read(whole)
+    assert f"zswarm.tidy({whole!r})" in str(refused.value)
+    assert len(zswarm.tidy(whole)) == 4
     with pytest.raises(zswarm.ConfigError, match="a study is resumed as it is"):
         zswarm.study(runs[0].folder.parent, repeat=3, connection=cluster)
     with pytest.raises(zswarm.ConfigError, match="populaton"):

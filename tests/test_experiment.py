@@ -80,6 +80,8 @@ def test_an_unknown_name_is_refused_with_the_nearest_example(tmp_path: Path) -> 
         "minisin: no such file or example (did you mean 'minisim'?); examples are "
     )
     assert "stadium" in text
+    text = refusal(experiment.find, "nope.toml")
+    assert text == "nope.toml: no such file; zswarm-ot list names the examples"
     assert refusal(experiment.find, str(tmp_path)).startswith(
         f"{tmp_path}: a folder; expected a file, or an example: "
     )
@@ -87,6 +89,12 @@ def test_an_unknown_name_is_refused_with_the_nearest_example(tmp_path: Path) -> 
     assert refusal(experiment.find, str(tmp_path)).endswith(
         f"resume it with zswarm-ot resume, or name its experiment, {tmp_path}/experiment.toml"
     )
+
+
+def test_a_byte_order_mark_is_skipped(file: Path) -> None:
+    whole = load(file)
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    assert load(file) == whole
 
 
 # ---- --set

@@ -21,8 +21,9 @@ from zswarm.ot.embedding import Source
 from zswarm.ot.evolution import Evolution
 from zswarm.ot.logger import Logger
 from zswarm.ot.problem import Problem
-from zswarm.ot.record.folder import load_experiment
+from zswarm.ot.record.folder import DATABASE, load_experiment
 from zswarm.ot.record.reader import Run
+from zswarm.ot.record.run_index import folders_below
 
 Folder = str | os.PathLike[str]
 
@@ -30,6 +31,7 @@ Folder = str | os.PathLike[str]
 # ---- experiments
 
 
+@embedding.hinted
 def load(source: Source, settings: Mapping[str, Any] | None = None) -> Experiment:
     """Load an experiment.
 
@@ -158,6 +160,7 @@ def connect(
 # ---- runs
 
 
+@embedding.hinted
 def run(
     experiment: Source,
     *,
@@ -196,6 +199,7 @@ def run(
     return running.run
 
 
+@embedding.hinted
 def study(
     experiment: Source,
     *,
@@ -253,6 +257,7 @@ def study(
     return [Run(begun.folder / planned.name) for planned in begun.planned]
 
 
+@embedding.hinted
 def start(
     experiment: Source,
     *,
@@ -317,13 +322,19 @@ def read(folder: Folder) -> Run:
     """Return a recorded run, finished or not. Nothing is written.
 
     Raises:
-        ConfigError: there is no run, or it is damaged.
+        ConfigError: there is no run, it is damaged, or the folder holds several runs.
 
     Example::
 
         history = zswarm.read("runs/stadium").to_pandas()
     """
-    return Run(Path(folder))
+    path = Path(folder)
+    if not (path / DATABASE).exists() and (below := folders_below(path)):
+        raise ConfigError(
+            f"{str(path)!r}: a folder of runs; read one of them, such as "
+            f"{str(below[0])!r}, or all of them with zswarm.tidy({str(path)!r})"
+        )
+    return Run(path)
 
 
 # ---- arguments

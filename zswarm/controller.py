@@ -12,6 +12,7 @@ from zswarm.config.decode import convert
 from zswarm.errors import ConfigError
 from zswarm.plugins import registry as plugins
 from zswarm.sims.simulator import RobotInterface
+from zswarm.system.format import mean, per_trial, with_trials
 from zswarm.system.text import clean
 
 if TYPE_CHECKING:  # imports the compiler
@@ -39,6 +40,12 @@ class HeldOut(msgspec.Struct, frozen=True, kw_only=True):
     seeds: int
     in_search: float
 
+    def per_trial(self, trials: int) -> "HeldOut":
+        """Return the same as means of so many trials."""
+        names = ("mean", "low", "high", "in_search")
+        means = {name: mean(getattr(self, name), trials) for name in names}
+        return msgspec.structs.replace(self, **means)
+
 
 class Tracked(msgspec.Struct, frozen=True, kw_only=True):
     """The best of a generation, counted from 0, on held-out seeds and in search."""
@@ -63,9 +70,17 @@ class Controller(
     actuators: list[str]
     genome: bytes
     fitness: float  # in search
+    # Whose sum fitness is, 1 for a score; 0: not known, in files of earlier versions.
+    trials: Annotated[int, Meta(ge=0)] = 0
     run: str
     robot: RobotInterface | None = None  # as its simulator has it; None: it drives none
     held_out: HeldOut | None = None  # once the run's last generation is assessed
+
+    def in_search(self) -> str:
+        """Describe its fitness in search, as the mean of a trial if their number is known."""
+        if not self.trials:
+            return f"{per_trial(self.fitness)} (sum of its trials)"
+        return with_trials(self.fitness, self.trials)
 
     def network(self) -> tuple["Representation", np.ndarray]:
         """Return the network, and the (P,) float32 parameters for its ``step``.

@@ -139,6 +139,10 @@ def find(name: str) -> Path:
     if path.is_dir():
         raise ConfigError(f"{shown}: a folder; expected a file, or an example: {known}")
     meant = nearest(name, examples)
+    if path.suffix == ".toml":
+        raise ConfigError(
+            f"{name}: no such file{meant}; zswarm-ot list names the examples"
+        )
     raise ConfigError(f"{name}: no such file or example{meant}; examples are {known}")
 
 

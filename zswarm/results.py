@@ -168,7 +168,7 @@ def plot(
     if kind == "archive":
         found = archive.of_runs([run for each in groups.values() for run in each])
         return figures.for_notebooks(archive.draw(found, chosen, title))
-    values, height = compared.numbers(groups, measure)
+    values, height, _ = compared.numbers(groups, measure)
     return figures.for_notebooks(boxes.draw(values, height, kind, chosen, title))
 
 

@@ -6,7 +6,8 @@ import msgspec
 import pytest
 from msgspec import Meta
 
-from zswarm.config.settings_docs import Key, keys, markdown
+from zswarm.config.meta import PartSettings, about, only_with
+from zswarm.config.settings_docs import Key, keys, markdown, unused
 
 Small = Annotated[int, Meta(ge=1, le=9, description="of the alias")]
 
@@ -76,3 +77,27 @@ def test_the_table_has_a_row_for_each_key() -> None:
     assert header == "| key | type | default | meaning |"
     assert first == "| `needed` | text | required | |"
     assert second == r"| `count` | int, 0 to 1,000 | 3 | how `many` \| or few |"
+
+
+class Rooms(PartSettings, frozen=True):
+    room: Literal["drawn", "hall"] = "drawn"
+    doors: Annotated[int, about("of a drawn room"), only_with(room="drawn")] = 5
+    robots: int = 10
+
+
+@pytest.mark.parametrize(
+    ("values", "without_effect"),
+    [
+        ({"room": "hall", "doors": 5}, {"doors"}),
+        ({"room": "drawn", "doors": 5}, set()),
+        ({"doors": 5}, set()),
+        ({"room": {"choice": ["hall", "drawn"]}}, set()),
+        ({"room": {"choice": ["hall", "hall"]}}, {"doors"}),
+    ],
+)
+def test_a_key_may_need_a_value_of_another(
+    values: dict[str, Any], without_effect: set[str]
+) -> None:
+    """With a range some trials have each of its values."""
+    assert unused(Rooms, values) == without_effect
+    assert [key.meaning for key in keys(Rooms)] == ["", "of a drawn room", ""]

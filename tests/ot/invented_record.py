@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from zswarm import experiment
-from zswarm.config.sections import PartConfig
+from zswarm.config.sections import PartConfig, StopConfig
 from zswarm.controller import Controller
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note
@@ -32,6 +32,7 @@ def written(
     settings: Mapping[str, Any] | None = None,
     trials: int = 1,
     optimizer: PartConfig = EXPERIMENT.optimizer,
+    stop: StopConfig = EXPERIMENT.stop,
 ) -> Path:
     """Write a run with its best fitness after each generation; NaN: every candidate failed."""
     representation = msgspec.structs.replace(
@@ -51,6 +52,7 @@ def written(
         representation=representation,
         optimizer=optimizer,
         problem=problem,
+        stop=stop,
     )
     genomes = [
         np.linspace(-1, 1, (hidden + 2) * (hidden + 13), dtype="<f4").tobytes()

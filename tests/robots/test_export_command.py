@@ -67,7 +67,7 @@ def test_the_champion_is_written_and_the_next_command_works(run: Path) -> None:
     assert file == f"{run.name}-python/{name}.py"
     assert (
         of
-        == f"controller  of minisim-0123abcd, fitness {load_controller(run).fitness:.6g}, "
+        == f"controller  of minisim-0123abcd, fitness {load_controller(run).in_search()}, "
         "fully-meshed"
     )
     assert parameters.split()[-1] in Path(file).read_text()
@@ -97,6 +97,7 @@ def test_every_target_names_its_files_and_the_hash(target: str, run: Path) -> No
         "files": [],
         "run": "minisim-0123abcd",
         "fitness": load_controller(run).fitness,
+        "trials": load_controller(run).trials,
         "sha256": "",
     }
     assert sorted(told["files"]) == sorted(

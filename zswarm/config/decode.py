@@ -21,9 +21,9 @@ T = TypeVar("T", bound=msgspec.Struct)
 
 
 def read(path: Path) -> dict[str, Any]:
-    """Read a TOML file."""
+    """Read a TOML file; a byte order mark, as Windows' Notepad writes it, is skipped."""
     try:
-        return parse(path.read_text(encoding="utf-8"))
+        return parse(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
     except ValueError as error:

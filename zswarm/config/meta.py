@@ -5,6 +5,8 @@ from typing import Any
 import msgspec
 from msgspec import Meta
 
+ONLY_WITH = "only with"
+
 
 class PartSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Settings of a part, such as a simulator; a child declares the keys with their defaults."""
@@ -23,3 +25,8 @@ def within(low: float, high: float, meaning: str) -> Meta:
 def above(low: float, high: float, meaning: str) -> Meta:
     """Give a key a lower limit that it must exceed, an upper one that it may have, a meaning."""
     return Meta(gt=low, le=high, description=meaning)
+
+
+def only_with(**values: Any) -> Meta:
+    """Declare that a key has an effect only where another one has this value."""
+    return Meta(extra={ONLY_WITH: values})

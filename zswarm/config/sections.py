@@ -28,7 +28,7 @@ KindName = Annotated[
 class ProblemConfig(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 ):
-    """``[problem]``: how a candidate is judged. Its fitness is the sum over its trials."""
+    """``[problem]``: how a candidate is judged, by the sum or mean of its trials."""
 
     simulator: Annotated[str, about("name of a simulator (`zswarm-ot list`)")]
     trials: Annotated[int, within(1, 100_000, "trials that judge each candidate")] = 1

@@ -6,11 +6,13 @@ it in Markdown. ``zswarm-ot init`` and the tables of docs/experiment.md are made
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
 from msgspec import inspect
+
+from zswarm.config import meta, ranges
 
 
 class Key(NamedTuple):
@@ -20,6 +22,9 @@ class Key(NamedTuple):
     type_text: str  # such as "int, 1 to 100,000"
     default: Any  # msgspec.NODEFAULT: required
     meaning: str  # Markdown
+    only_with: Mapping[
+        str, Any
+    ] = {}  # values of other keys without which it has no effect
 
     @property
     def required(self) -> bool:
@@ -37,6 +42,16 @@ def keys(struct: type[msgspec.Struct]) -> list[Key]:
         for field, kind, notes in fields
         if not isinstance(kind, inspect.StructType)
     ]
+
+
+def unused(struct: type[msgspec.Struct], values: Mapping[str, Any]) -> set[str]:
+    """Return the keys that have no effect with these values, some of which may be ranges."""
+    return {
+        key.name
+        for key in keys(struct)
+        for other, needed in key.only_with.items()
+        if needed not in ranges.ends(values.get(other, needed))
+    }
 
 
 def markdown(sheet: Sequence[Key]) -> str:
@@ -59,7 +74,8 @@ def _key(field: inspect.Field, kind: inspect.Type, notes: dict[str, Any]) -> Key
     if field.default_factory is not msgspec.NODEFAULT:
         default = field.default_factory()
     type_text = notes.get("type") or _type_text(kind)
-    return Key(field.encode_name, type_text, default, notes.get("description", ""))
+    meaning, only_with = notes.get("description", ""), notes.get(meta.ONLY_WITH, {})
+    return Key(field.encode_name, type_text, default, meaning, only_with)
 
 
 def _without_metadata(kind: inspect.Type) -> tuple[inspect.Type, dict[str, Any]]:

@@ -1,19 +1,23 @@
 """Runs inside of a Python program: their experiment, their block and who follows them."""
 
 import contextlib
+import functools
+import inspect
 import logging
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NoReturn, ParamSpec, TypeVar
 
+import msgspec
 from msgspec.structs import replace
 
 from zswarm import experiment as experiments
 from zswarm.config.decode import read
 from zswarm.config.overrides import changed
+from zswarm.config.suggest import nearest
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.cluster.connection import Connection
@@ -24,6 +28,9 @@ from zswarm.ot.study import study as studies
 
 Source = str | os.PathLike[str] | Mapping[str, Any] | Experiment
 LOG = logging.getLogger("zswarm")
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 def load(source: Source, changes: Mapping[str, Any]) -> tuple[Experiment, str]:
@@ -45,6 +52,37 @@ def load(source: Source, changes: Mapping[str, Any]) -> tuple[Experiment, str]:
             f"an experiment, not {source!r}"
         )
     return experiments.check(changed(mapping, changes, where), where), where
+
+
+def hinted(function: Callable[P, R]) -> Callable[P, R]:
+    """Refuse an argument that does not exist by saying where such a setting belongs."""
+    known = inspect.signature(function).parameters
+
+    @functools.wraps(function)
+    def called(*arguments: P.args, **given: P.kwargs) -> R:
+        for name in given.keys() - known.keys():
+            raise TypeError(
+                f"{name!r} is no argument of zswarm.{function.__name__}"
+                f"{nearest(name, known)}, which takes "
+                f"{', '.join(known)}; settings are given to zswarm.load: "
+                f"zswarm.load(experiment, {_as_settings(name, given[name])!r})"
+            )
+        return function(*arguments, **given)
+
+    return called
+
+
+def _as_settings(name: str, value: object) -> Mapping[str, Any]:
+    """Return what was perhaps meant: the first setting of that name in an experiment's file."""
+    if isinstance(value, Mapping):
+        return value
+    for field in msgspec.structs.fields(Experiment):
+        if field.name == name:
+            return {name: value}
+        part = getattr(field.type, "__struct_fields__", ())
+        if name in part:
+            return {f"{field.name}.{name}": value}
+    return {"optimizer.population": 100}
 
 
 def check_dict(settings: Any, example: str) -> None:

@@ -45,6 +45,11 @@ class CandidateOutcomes(NamedTuple):
     fitness: np.ndarray  # (candidates, trials) float64; NaN: the simulator failed
     metrics: dict[str, np.ndarray]  # each (candidates, trials) float64
 
+    def __repr__(self) -> str:
+        candidates, trials = self.fitness.shape
+        names = ", ".join(self.metrics) or "none"
+        return f"CandidateOutcomes(fitness: {candidates} x {trials}, metrics: {names})"
+
 
 class _Call(msgspec.Struct, eq=False):
     """What one thread waits for."""

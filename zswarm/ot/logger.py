@@ -39,6 +39,7 @@ class Generation(NamedTuple):
     # Expected: generations of the run, and the assessment's trials as a share of the search's.
     last: int = 0
     after: float = 0.0
+    trials: int = 1  # of a candidate: best and mean are those of their sums; 1 for scores
 
 
 class Result(NamedTuple):

@@ -21,7 +21,7 @@ class RunEvent(StrEnum):
     SERVER_JOINED = "server_joined", "info", "{server} joined with {slots}"
     SERVER_SLOTS = "server_slots"
     SERVER_SPARE = "server_spare"
-    SERVER_LEFT = "server_left", "warning", "{server} left; {text}"
+    SERVER_LEFT = "server_left", "warning", "{server} left with {text}"
     SERVER_LOST = "server_lost", "error", "{server} is gone"
     SERVER_BACK = "server_back", "info", "{server} is back"
     SERVER_MISMATCH = "server_mismatch", "warning", "{server} is not used: {text}"
@@ -41,17 +41,17 @@ class RunEvent(StrEnum):
     SERVER_UNPREPARED = (
         "server_unprepared",
         "warning",
-        "{server} cannot get ready now: {text}; it is asked again in {count} s",
+        "{server} cannot prepare the problem: {text}; next attempt in {count} s",
     )
     SERVER_STALLED = (
         "server_stalled",
         "warning",
-        "{server} is put aside: {text}; it is asked again in {count} s",
+        "{server} is backed off: {text}; next attempt in {count} s",
     )
     ANSWER_FAILED = (
         "answer_failed",
         "error",
-        "{server} is put aside: its answer could not be handled: {text}; it is asked again in "
+        "{server} is backed off: its answer could not be handled: {text}; next attempt in "
         "{count} s",
     )
     SERVER_BANNED = "server_banned", "warning", "{server} is not used: {text}"
@@ -90,7 +90,7 @@ class RunEvent(StrEnum):
     SIMULATOR_LEFT = (
         "simulator_left",
         "warning",
-        "a trial left behind in its process on {server}: {text}; later trials are played in a "
+        "a trial on {server} left something in its process: {text}; later trials are played in a "
         "new process, which takes time",
     )
 

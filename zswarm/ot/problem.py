@@ -160,6 +160,11 @@ class Problem:
         """Return the sums over the trials of candidates that play alone, (candidates,) float64."""
         return self.played(workload).results[:, 0]
 
+    @property
+    def fitness_trials(self) -> int:
+        """Trials whose sum a candidate's fitness is; 1 for a score, which covers all its games."""
+        return 1 if self.ranking.relative else self.experiment.problem.trials
+
     def controller(self, genome: bytes, fitness: float, run: str) -> Controller:
         """Return a genome with all that is needed to run it."""
         complete, simulator = self.experiment, self.simulator
@@ -174,6 +179,7 @@ class Problem:
             actuators=list(simulator.actuators),
             genome=genome,
             fitness=fitness,
+            trials=self.fitness_trials,
             run=run,
             robot=simulator.robot,
         )

@@ -286,6 +286,7 @@ class _Notebook:
             standing.slots,
             statistics,
             *self._expected(ended),
+            self._problem.fitness_trials,
         )
         self._logger.on_generation(generation)
         if self.why:
@@ -369,9 +370,7 @@ class _Notebook:
             assessment_hash=self._hash,
             history_version=HISTORY_VERSION,
             repeatable=self._problem.simulator.repeatable,
-            trials=1
-            if self._optimizer.relative
-            else self._problem.experiment.problem.trials,
+            trials=self._problem.fitness_trials,
             **record.counts(),
         )
 

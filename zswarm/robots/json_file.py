@@ -16,7 +16,7 @@ from zswarm.system import version
 VERSION = 1
 # Fields of the controller that are written as they are, in this order.
 COPIED = (
-    "run fitness simulator simulator_settings representation representation_settings "
+    "run fitness trials simulator simulator_settings representation representation_settings "
     "inputs outputs sensors actuators"
 ).split()
 

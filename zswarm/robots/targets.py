@@ -32,7 +32,9 @@ class Target(NamedTuple):
     simulator: str = ""
 
 
-C99 = "cc -std=c99 -O2 -D{macro}_MAIN {name}.c -lm -o {name} && ./{name}"
+C99 = (
+    "cc -std=c99 -O2 -D{macro}_MAIN {name}.c -lm -o {name} && ./{name} && echo same bits"
+)
 PACKAGE = "zswarm.robots.package"
 TARGETS = {
     "argos": Target(

@@ -71,7 +71,9 @@ def command(
             raise click.UsageError(f"{expected}, and none of the daemon's")
         return
     from zswarm.ss.workers import parent
+    from zswarm.system.starting import Starting
 
+    starting = None if until_stdin_closes else Starting()
     try:
         parent.start_fork_server()  # it loads numba in parallel with the imports below
     except OSError as error:  # no folder for temporary files, or no processes left
@@ -87,10 +89,13 @@ def command(
         server = Server(
             lambda: options.load(config, given), until_stdin_closes=until_stdin_closes
         )
-        code = server.run()
+        code = server.run(starting)
     except ConfigError as error:
         click.echo(f"zswarm-ss: {error}", err=True)
         sys.exit(78 if config else 2)
+    finally:
+        if starting is not None:
+            starting.end()
     sys.exit(code)
 
 

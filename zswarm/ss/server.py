@@ -37,6 +37,7 @@ from zswarm.ss.workers.output import LINE_WIDTH
 from zswarm.ss.workers.parent import Worker
 from zswarm.ss.workers.remote import CANCELLED, FullPipe, Questions, Unheard
 from zswarm.system import landlock, log
+from zswarm.system.starting import Starting
 from zswarm.system.systemd import Notify
 from zswarm.system.text import clean
 from zswarm.system.version import VERSION
@@ -93,8 +94,12 @@ class Server:
         self._tick_at = 0.0
         self._drain_by = self._return_at = math.inf
 
-    def run(self) -> int:
-        """Serve until a signal or the drain command; return the exit code."""
+    def run(self, starting: Starting | None = None) -> int:
+        """Serve until a signal or the drain command; return the exit code.
+
+        Args:
+            starting: a mark that ends when the server can be reached.
+        """
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, lambda number, _: self._inbox.put(number))
         # A signal just before the loop waits ends that wait, too.
@@ -110,6 +115,8 @@ class Server:
                     )
             stack.callback(self._presence.close)
             self._open(self.options, self._reach)
+            if starting is not None:
+                starting.end()
             log.info(
                 "server_ready",
                 server=self.id,

@@ -1,4 +1,4 @@
-"""Counts, sizes and durations as people read them."""
+"""Counts, sizes, durations and fitness as people read them."""
 
 import math
 
@@ -34,3 +34,20 @@ def duration(seconds: float) -> str:
     unit, factor = next(units, ("days", 86_400.0))
     value = seconds / factor
     return f"{value:.0f} {unit}" if value >= 99.5 else f"{value:.2g} {unit}"
+
+
+def mean(fitness: float | None, trials: int) -> float | None:
+    """Return a fitness, which records have as the sum of so many trials, as their mean."""
+    return None if fitness is None else fitness / trials
+
+
+def per_trial(fitness: float | None, trials: int = 1, digits: int = 6) -> str:
+    """Return the same in a few digits."""
+    found = mean(fitness, trials)
+    return "unknown" if found is None else f"{found:.{digits}g}"
+
+
+def with_trials(fitness: float | None, trials: int) -> str:
+    """Return the same as ``4.36 (mean of 10 trials)``; a single trial needs no words."""
+    words = "" if trials == 1 or fitness is None else f" (mean of {trials:,} trials)"
+    return f"{per_trial(fitness, trials)}{words}"

@@ -23,6 +23,23 @@ def private_folder(environment: Mapping[str, str] = os.environ) -> Path:
     return Path(tempfile.gettempdir()) / f"zswarm-{os.geteuid()}"
 
 
+def folders() -> set[Path]:
+    """Return where programs of this machine put sockets and locks that this user may see."""
+    found = {private_folder(), Path("/run/zswarm")}
+    found.add(Path(tempfile.gettempdir()) / f"zswarm-{os.geteuid()}")
+    if session := os.environ.get("XDG_RUNTIME_DIR", ""):
+        found.add(Path(session) / "zswarm")
+    return found
+
+
+def visible_folders() -> list[Path]:
+    """Return those of the folders that no other user can have made.
+
+    In /tmp another user can make the folder that a program of this user would have.
+    """
+    return [one for one in folders() if is_private(one) or is_private(one.parent)]
+
+
 def make_private(here: Path) -> None:
     """Make such a folder; refuse one that other users can write in.
 

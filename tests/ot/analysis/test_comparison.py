@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.ot.invented_record import written
+from zswarm.config.sections import StopConfig
 from zswarm.errors import ConfigError
 from zswarm.ot.analysis import comparison, curves, grouping
 from zswarm.ot.analysis.comparison import Comparison
@@ -218,6 +219,13 @@ def test_unfinished_runs_are_named(tmp_path: Path) -> None:
     assert found.notes == [
         f"{folder.name} is not finished: 2 of 3 generations",
         f"{begun.name} is not finished: 0 of 1 generation",
+    ]
+
+
+def test_generations_under_a_budget_have_no_known_end(tmp_path: Path) -> None:
+    folder = written(tmp_path, [1, 2], finished=False, stop=StopConfig(evaluations=99))
+    assert compared(grouping.groups([Run(folder)])).notes == [
+        f"{folder.name} is not finished: 2 generations so far"
     ]
 
 

@@ -21,7 +21,7 @@ def test_additive_settings_have_their_shares_and_no_interaction() -> None:
     found = importance(settings, [3.0 * s["a"] + 1.0 * s["b"] for s in settings])
     shares = {effect.name: effect.eta2 for effect in found.effects}
     assert shares == pytest.approx({"a": 0.9, "b": 0.1, "a x b": 0.0})
-    assert (found.noise, found.rest) == pytest.approx((0.0, 0.0))
+    assert (found.noise, found.rest) == (None, pytest.approx(0.0))
     assert {effect.epsilon2 for effect in found.effects} == {None}  # without repeats
 
 
@@ -42,6 +42,7 @@ def test_one_setting_is_a_one_way_analysis_of_variance() -> None:
     settings = [{"a": place} for place in range(3) for _ in range(12)]
     found = importance(settings, np.concatenate(groups).tolist())
     (effect,) = found.effects
+    assert found.noise is not None
     assert (effect.eta2 / 2) / (found.noise / 33) == pytest.approx(
         stats.f_oneway(*groups).statistic
     )
@@ -53,6 +54,7 @@ def test_chance_has_a_share_but_none_beyond_chance() -> None:
     draws = np.random.default_rng(1)
     settings = grid(a=[0, 1, 2], b=[0, 1]) * 2000
     found = importance(settings, draws.normal(size=len(settings)).tolist())
+    assert found.noise is not None
     assert found.noise > 0.998
     assert all((effect.epsilon2 or 0.0) < 0.002 for effect in found.effects)
 
@@ -78,6 +80,7 @@ def test_groups_of_unequal_size_are_cut_to_the_smallest() -> None:
         ([{"a": 1}, {"a": 1}], [1.0, 2.0], "the same settings"),
         ([{"a": 1}, {"a": 2}], [1.0, -np.inf], "every candidate failed"),
         ([{"a": 1}, {"a": 2}], [0.1, 0.1], "the same fitness"),
+        ([{"a": 1}, {"a": 2}], [0.1, 0.2], "no setting was repeated"),
         (grid(a=[1, 2], b=[1, 2])[:3], [1.0, 2.0, 3.0], "no full grid"),
     ],
 )

@@ -13,7 +13,8 @@ import zswarm
 from tests.ot.invented_record import written
 from zswarm.config.sections import PartConfig
 from zswarm.errors import ConfigError
-from zswarm.ot.analysis import archive, grouping, latex, measure
+from zswarm.ot.analysis import archive, boxes, grouping, latex, measure
+from zswarm.ot.analysis.drawing import SIZES
 from zswarm.ot.analysis.measure import Evaluated
 from zswarm.ot.cli import command
 from zswarm.ot.evaluator import CandidateOutcomes
@@ -135,6 +136,31 @@ def test_another_champion_was_not_evaluated(study: Path) -> None:
     (other.folder / measure.FILE).write_text("[1")
     with pytest.raises(ConfigError, match="cannot be used"):
         measure.load(other)
+
+
+def test_the_best_median_is_not_bold_without_a_test_that_shows_it(tmp_path: Path) -> None:
+    for seed in range(2):
+        for hidden, better in ((2, 0.0), (4, 10.0)):
+            written(tmp_path, [seed, seed + better + 1], seed=seed, hidden=hidden)
+    text = typed("compare", str(tmp_path), "--latex", "-")
+    assert r"\textbf" not in text
+    assert (
+        "% no test: a difference between two groups can be shown with 4 or more" in text
+    )
+
+
+def test_a_group_of_few_runs_has_dots_and_no_box() -> None:
+    """Names that are too long for their place have several lines, or are turned."""
+    many, few = np.arange(5.0), np.arange(4.0)
+    groups = {"CMA-ES, layers": many, "NNGA, layers": few, "three": many, "four": many}
+    for shape, drawn in (("box", "patches"), ("violin", "collections")):
+        (axes,) = boxes.draw(groups, "fitness", shape, SIZES["column"]).axes
+        without = boxes.draw({"a": few}, "fitness", shape, SIZES["column"]).axes[0]
+        assert len(getattr(axes, drawn)) > len(getattr(without, drawn))
+        texts = [label.get_text() for label in axes.get_xticklabels()]
+        assert texts[:2] == ["CMA-ES,\nlayers\n(n = 5)", "NNGA,\nlayers\n(n = 4)"]
+    (axes,) = boxes.draw({"x" * 80: many}, "fitness", "box", SIZES["column"]).axes
+    assert [label.get_rotation() for label in axes.get_xticklabels()] == [35]
 
 
 @pytest.mark.parametrize("shape", ["box", "violin"])

@@ -4,12 +4,12 @@ from collections import Counter
 
 from tests.ot.cluster.dispatching import Optimizer, lease, offer, trials, verbs
 from zswarm.ot.cluster.allotment import ALLOT_AFTER_S
-from zswarm.ot.cluster.events import Ask, Gone, Pause, Seen
+from zswarm.ot.cluster.events import Ask, Gone, Pause, Seen, Superseded
 from zswarm.ot.cluster.matching import Choice
 from zswarm.ot.cluster.remote_server import Phase
 from zswarm.ot.cluster.roster import FORGET_S
 from zswarm.ot.cluster.servers import Servers
-from zswarm.protocol.messages import Release, Reserve
+from zswarm.protocol.messages import Refused, Release, Reserve
 
 
 def lab(
@@ -102,6 +102,17 @@ def test_a_server_gives_more_slots_if_others_are_gone() -> None:
     (other,) = optimizer.held()
     assert optimizer.held() == {other: 10}
     assert optimizer.servers.by_id[other].phase == Phase.LEASED
+
+
+def test_a_server_asked_for_more_slots_may_say_that_the_run_was_taken_over() -> None:
+    """No other server may be left that would."""
+    optimizer = lab(2, 16, 10)
+    largest = max(optimizer.held(), key=lambda name: optimizer.held()[name])
+    (other,) = optimizer.held().keys() - {largest}
+    (ask,) = optimizer.feed(Gone(largest))
+    optimizer.answer(ask, Refused(code="superseded", reason="taken over"))
+    assert Superseded(other, "taken over") in optimizer.commands
+    assert not optimizer.held()
 
 
 def test_servers_without_a_free_slot_are_asked_in_rounds() -> None:

@@ -747,7 +747,7 @@ def test_batches_of_a_vanished_server_move_when_their_queries_end() -> None:
     first, second = optimizer.work(2)
     optimizer.join("b")
     assert optimizer.feed(Gone("a")) == []
-    assert optimizer.notes("server_left")[0].text == "2 trials were with it"
+    assert optimizer.notes("server_left")[0].text == "2 unanswered trials"
     assert trials(optimizer.answer(first, None)) == [0]
     assert optimizer.notes("requeued") == [Note("requeued", count=1)]
     assert trials(optimizer.answer(second, None)) == [1]

@@ -14,8 +14,9 @@ from termios import TIOCSWINSZ
 
 import pytest
 
-from zswarm.ot.display.progress import fitting
+from zswarm.ot.display.progress import fitting, next_steps
 from zswarm.ot.display.tables import wrapped
+from zswarm.ot.logger import Result
 
 DEADLINE_S = 60.0
 UNSET = ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR")
@@ -106,3 +107,15 @@ def test_lines_above_a_live_one_are_broken_between_words() -> None:
     lines = wrapped(text, 40).splitlines()
     assert lines[0] == "lab-01-0123abcd: getting emergency-exit"
     assert [line.strip() for line in lines[1:]] == ["ready", "/a-long-path" * 8]
+
+
+@pytest.mark.parametrize(("trials", "second"), [(1, "plot"), (10, "evaluate")])
+def test_three_commands_that_show_a_run_are_named(trials: int, second: str) -> None:
+    """A champion whose only trial is the same for every seed is not evaluated."""
+    ended = Result("runs/x", 3, 1.0, 150, 0, "00", 0.1, 0, 0, trials=trials)
+    assert next_steps(ended).split() == [
+        "next",
+        *"zswarm-ot replay runs/x".split(),
+        *f"zswarm-ot {second} runs/x".split(),
+        *"zswarm-ot report runs/x".split(),
+    ]

@@ -130,6 +130,9 @@ def test_a_simulator_that_always_fails_is_reported(
     (warning,) = explained("minisim").warnings
     assert warning.startswith("every trial that was tried failed: Minisim, trial seed ")
     assert warning.endswith(": fitness must be finite, not [nan]; nothing can evolve")
+    assert check("minisim").splitlines()[-1] == (
+        "when its trials no longer fail: zswarm-ot run minisim"
+    )
 
 
 def test_the_record_is_about_as_large_as_predicted() -> None:
@@ -187,8 +190,17 @@ def test_check_looks_for_servers_where_the_experiment_does(tmp_path: Path) -> No
     """The experiment turns multicast off, so none is found."""
     nowhere = ["--set", "cluster.multicast=false", "--servers"]
     assert json.loads(check("minisim", "--json", *nowhere))["servers"] == []
+    alone = (
+        "\nthe experiment is fine, but only this machine can compute it: zswarm-ot run"
+    )
+    assert alone in check("minisim", *nowhere)
     assert "none found in realm default multicast is off" in " ".join(
         check("minisim", *nowhere).split()
+    )
+    asked = check("minisim", "--set", "cluster.servers=2", "--servers", "--no-multicast")
+    assert asked.endswith(
+        "\nwhen 2 more matching servers can be reached: zswarm-ot run minisim --set "
+        "cluster.servers=2 --no-multicast\n"
     )
 
 
@@ -270,6 +282,6 @@ def test_check_shows_every_setting_of_a_study_and_refuses_an_impossible_one(
         check(str(path))
     path.write_text(text + grid + '["fully-meshed", "feed-forward"]\n')
     shown = check(str(path))
-    for name in ("kind nnga", "representation.hidden", "in all", "is not used, but"):
+    for name in ("kind nnga", "representation.hidden", "in all", "does not apply to"):
         assert name in " ".join(shown.split()), name
     assert len(json.loads(check(str(path), "--json"))["settings"]) == 4

@@ -186,6 +186,28 @@ def test_settings_that_are_no_defaults_are_marked(tmp_path: Path) -> None:
     }
 
 
+def test_settings_without_effect_are_left_out_unless_they_were_changed(
+    tmp_path: Path,
+) -> None:
+    """The stadium has its own robots, exits and size."""
+    stadium = Run(written(tmp_path, [1], settings={"exits": 9})).experiment
+    rows = {
+        row.key.removeprefix("problem.settings."): (row.value, row.default)
+        for row in settings_rows(stadium)
+        if row.key.startswith("problem.settings.")
+    }
+    steps = str(stadium.problem.settings["steps"])
+    assert rows["steps"][0] == steps
+    assert rows == {
+        "field": ("stadium", "random"),
+        "steps": rows["steps"],
+        "exits": ("9 (not used)", "5"),
+    }
+    drawn = Run(written(tmp_path, [1], settings={"field": "random"})).experiment
+    keys = [row.key for row in settings_rows(drawn)]
+    assert {"problem.settings.agents", "problem.settings.seed"} <= {*keys}
+
+
 def test_a_ranking_is_shown_unless_it_is_the_default(tmp_path: Path) -> None:
     complete = Run(written(tmp_path, [1])).experiment
     keys = [row.key for row in settings_rows(complete)]

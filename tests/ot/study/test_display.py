@@ -122,6 +122,7 @@ def test_json_is_strict_and_complete(
         "evaluations": 50,
         "servers": 1,
         "slots": 2,
+        "trials": 1,
     }
     assert (lines[1]["seed"], lines[1]["settings"], lines[1]["best"]) == (
         7,
@@ -152,6 +153,7 @@ def test_json_is_strict_and_complete(
         "best": 3.0,
         "held_out": None,
         "evaluations": 800,
+        "trials": 1,
     }
     assert done["settings"][1]["q25"] is None
 

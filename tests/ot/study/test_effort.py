@@ -38,10 +38,10 @@ def test_a_setting_that_does_not_reach_all_is_named_once_with_those(
     warnings, _ = written(tmp_path, GRID, "hidden = 3")
     hidden = [text for text in warnings if "hidden" in text]
     assert hidden == [
-        "representation.hidden = 3 is not used, but fully-meshed with hidden = 2: "
-        "NNGA, meshed; CMA-ES, meshed",
-        "representation.hidden = 3 is not used, but feed-forward with hidden = [2, 2]: "
-        "NNGA, layers; CMA-ES, layers",
+        "representation.hidden = 3 does not apply to NNGA, meshed; CMA-ES, meshed: "
+        "fully-meshed has hidden = 2 there",
+        "representation.hidden = 3 does not apply to NNGA, layers; CMA-ES, layers: "
+        "feed-forward has hidden = [2, 2] there",
     ]
     assert not any("population" in text for text in warnings), "each setting has its own"
 

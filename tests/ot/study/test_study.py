@@ -12,7 +12,7 @@ from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.experiment import load
 from zswarm.ot.record.writer import Record
-from zswarm.ot.study.study import Study, is_study, load_study
+from zswarm.ot.study.study import Study, is_study, load_study, not_begun
 
 
 @pytest.fixture
@@ -51,6 +51,17 @@ def test_a_study_holds_the_whole_experiment_and_no_record(
     with Study.open(folder) as study:
         assert [one.name for one in study.left] == ["seed-7", "seed-8"]
         assert (study.ended, study.others) == ([], [])
+
+
+def test_runs_that_did_not_begin_are_counted(folder: Path) -> None:
+    assert not_begun(folder) == [
+        f"2 of the 2 runs of {folder} did not begin: zswarm-ot resume {folder} evolves them"
+    ]
+    record(folder, "seed-7")
+    assert "1 of the 2 runs" in not_begun(folder)[0]
+    record(folder, "seed-8", seed=8)
+    assert not_begun(folder) == []
+    assert not_begun(folder / "seed-7") == []
 
 
 def test_a_second_study_of_a_name_gets_a_number(folder: Path, file: Path) -> None:

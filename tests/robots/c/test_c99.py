@@ -142,6 +142,19 @@ def test_the_header_documents_the_numbers_of_a_known_simulator() -> None:
     assert "Observation:" not in pair(gone, "night")["zs_night.h"]
 
 
+def test_the_header_names_the_settings_that_are_used() -> None:
+    settings = {"field": "stadium", "steps": 50, "agents": 10}
+    stadium = msgspec.structs.replace(
+        controller("fully-meshed"),
+        simulator="emergency-exit",
+        simulator_settings=settings,
+    )
+    line = 'Settings of the simulator: field = "stadium", steps = 50.'
+    assert line in pair(stadium, "night")["zs_night.h"]
+    gone = msgspec.structs.replace(stadium, simulator="of-somebody-else")
+    assert "steps = 50, agents = 10." in pair(gone, "night")["zs_night.h"]
+
+
 def test_only_what_is_used_is_written() -> None:
     clamp = pair(controller("fully-meshed"), "night")["zs_night.c"]
     sigmoid = pair(controller("fully-meshed", {"activation": "sigmoid"}), "night")[

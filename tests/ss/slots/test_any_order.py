@@ -323,6 +323,12 @@ class Server:
         rights, shares = table.sharing.shares(
             table.values(), len(self.slots.slots), self.now
         )
+        anew = msgspec.structs.replace(table.sharing, _rights=None).shares(
+            table.values(), len(self.slots.slots), self.now
+        )
+        assert [list(each.items()) for each in (rights, shares)] == [
+            list(each.items()) for each in anew
+        ], "rights are remembered that do not hold any more"
         for lease, right in rights.items():
             assert not lease.lent or lease.lent + len(lease.slots) <= right, (
                 "more is lent than the lease has a right to"

@@ -378,7 +378,7 @@ def test_a_suspended_fork_server_does_not_block_the_loop(
         now = time.monotonic() + 60.0
         assert slot.missing_from(30.0) < now < slot.missing_from(90.0)
         assert fresh.missing_from(30.0) < now < fresh.missing_from(90.0)
-        assert slot.missing_reason() == "its killed process does not go away"
+        assert slot.missing_reason() == "its process was killed but has not exited"
         assert fresh.missing_reason() == "the fork server does not start its process"
     finally:
         os.kill(forking, signal.SIGCONT)

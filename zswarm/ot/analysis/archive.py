@@ -60,7 +60,7 @@ def of_run(run: Run) -> Archive:
         places = ((found[whole] - low) / (high - low) * cells).astype(np.int64)
         places = places.clip(0, np.array(cells) - 1)
         np.maximum.at(best, tuple(places.T), fitness[whole])
-    trials = run.experiment.problem.trials
+    trials = run.fitness_trials
     names = (clean(measures[0]), clean(measures[1]))
     ends = ((float(low[0]), float(high[0])), (float(low[1]), float(high[1])))
     return Archive(np.where(np.isfinite(best), best / trials, np.nan), names, ends)

@@ -1,5 +1,6 @@
 """Draw one number of each run as boxes or violins, a column for each group."""
 
+import textwrap
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -14,8 +15,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST = 24  # groups
-NARROW = 5  # groups from which on labels are turned
+FEW = 5  # runs of a group below which it has no quartiles and no density, only dots
+LETTER = 0.8  # width of a letter with its share of the margins, per size of the font
+POINTS = 72  # in an inch
+BOX, SPREAD = 0.5, 0.12  # width of a box, and how far dots are from the middle, in groups
 Shape = Literal["box", "violin"]
+Drawn = tuple[Any, np.ndarray, str]  # place, numbers and colour of a group
 
 
 def draw(
@@ -26,6 +31,9 @@ def draw(
     title: str = "",
 ) -> "Figure":
     """Return a figure: quartiles or densities, and every run as a dot.
+
+    A group of few runs has its median and the dots only. Where groups have few runs, or not the
+    same number, it is written below their names.
 
     Args:
         values: by group, (runs,) float64; -inf, where every candidate failed, is left out.
@@ -46,28 +54,23 @@ def draw(
         figure, axes = drawing.axes_of(size)
         places = np.arange(1, len(finite) + 1)
         columns = list(finite.values())
+        colours = _colours(len(columns))
+        large = [
+            one
+            for one in zip(places, columns, colours, strict=True)
+            if len(one[1]) >= FEW
+        ]
         if shape == "box":
-            _boxes(axes, columns, places, size)
+            _boxes(axes, large, size)
         else:
-            _violins(axes, columns, places, size)
-        for place, numbers, colour in zip(
-            places, columns, _colours(len(columns)), strict=True
-        ):
-            spread = np.linspace(-0.12, 0.12, len(numbers)) if len(numbers) > 1 else 0.0
-            axes.plot(
-                place + spread,
-                np.sort(numbers),
-                "o",
-                color=colour,
-                markersize=2.2 * size.line,
-                alpha=0.6,
-                markeredgewidth=0,
-                zorder=4,
-            )
-        turned = len(finite) > NARROW
+            _violins(axes, large, size)
+        for one in zip(places, columns, colours, strict=True):
+            in_box = shape == "box" and len(one[1]) >= FEW
+            _dots(axes, one, size, half=BOX / 2 if in_box else SPREAD)
+        labels, turned = _labels(finite, size)
         axes.set_xticks(
             places,
-            [f"{clean(group)}" for group in finite],
+            labels,
             rotation=35 if turned else 0,
             ha="right" if turned else "center",
         )
@@ -80,44 +83,77 @@ def draw(
     return figure
 
 
-def _boxes(axes: Any, columns: list[np.ndarray], places: Any, size: FigureStyle) -> None:
+def _dots(axes: Any, drawn: Drawn, size: FigureStyle, *, half: float) -> None:
+    """Draw every run of a group, and their median as a line to both sides of the middle."""
+    place, numbers, colour = drawn
+    spread = np.linspace(-SPREAD, SPREAD, len(numbers)) if len(numbers) > 1 else 0.0
+    axes.plot(
+        place + spread,
+        np.sort(numbers),
+        "o",
+        color=colour,
+        markersize=2.2 * size.line,
+        alpha=0.6,
+        markeredgewidth=0,
+        zorder=4,
+    )
+    middle = np.median(numbers)
+    axes.hlines(
+        *(middle, place - half, place + half),
+        color="black",
+        linewidth=size.line * 1.3,
+        zorder=5,
+    )
+
+
+def _labels(
+    groups: Mapping[str, np.ndarray], size: FigureStyle
+) -> tuple[list[str], bool]:
+    """Return the names of groups in lines that fit side by side, or whole ones to be turned."""
+    room = int(size.width * POINTS / len(groups) / (LETTER * size.font))
+    names = [clean(group) for group in groups]
+    counts = [len(numbers) for numbers in groups.values()]
+    counted = min(counts) < FEW or len(set(counts)) > 1
+    turned = any(len(word) > room for name in names for word in name.split())
+    if not turned:
+        names = [textwrap.fill(name, room, break_on_hyphens=False) for name in names]
+    between = " " if turned else "\n"
+    if counted:
+        names = [
+            f"{name}{between}(n = {count})"
+            for name, count in zip(names, counts, strict=True)
+        ]
+    return names, turned
+
+
+def _boxes(axes: Any, drawn: list[Drawn], size: FigureStyle) -> None:
+    if not drawn:
+        return
+    places, columns, colours = zip(*drawn, strict=True)
     line = {"linewidth": size.line / 1.5, "color": GREY}
-    drawn = axes.boxplot(
+    made = axes.boxplot(
         columns,
         positions=places,
-        widths=0.5,
+        widths=BOX,
         showfliers=False,  # every run is a dot
         patch_artist=True,
-        medianprops={"linewidth": size.line * 1.3, "color": "black"},
+        medianprops={"linewidth": 0},  # drawn for all groups
         whiskerprops=line,
         capprops=line,
     )
-    for box, colour in zip(drawn["boxes"], _colours(len(columns)), strict=True):
+    for box, colour in zip(made["boxes"], colours, strict=True):
         box.set(facecolor=(colour, 0.2), edgecolor=colour, linewidth=size.line / 1.5)
 
 
-def _violins(
-    axes: Any, columns: list[np.ndarray], places: Any, size: FigureStyle
-) -> None:
-    wide = [
-        (place, column)
-        for place, column in zip(places, columns, strict=True)
-        if np.ptp(column)
-    ]
-    if wide:
-        drawn = axes.violinplot(
-            [column for _, column in wide],
-            positions=[place for place, _ in wide],
-            widths=0.7,
-            showextrema=False,
-        )
-        colours = dict(zip(places, _colours(len(columns)), strict=True))
-        for body, (place, _) in zip(drawn["bodies"], wide, strict=True):
-            body.set(facecolor=colours[place], edgecolor=colours[place], alpha=0.25)
-    for place, column in zip(places, columns, strict=True):
-        low, middle, high = np.percentile(column, (25, 50, 75))
+def _violins(axes: Any, drawn: list[Drawn], size: FigureStyle) -> None:
+    for place, column, colour in drawn:
+        if np.ptp(column):
+            made = axes.violinplot(
+                [column], positions=[place], widths=0.7, showextrema=False
+            )
+            made["bodies"][0].set(facecolor=colour, edgecolor=colour, alpha=0.25)
+        low, high = np.percentile(column, (25, 75))
         axes.vlines(place, low, high, color=GREY, linewidth=size.line * 2, zorder=3)
-        axes.plot(place, middle, "_", color="black", markersize=6 * size.line, zorder=5)
 
 
 def _colours(count: int) -> list[str]:

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from zswarm.ot.analysis import comparison, curves, effect_size, measure
+from zswarm.ot.analysis import comparison, curves, effect_size, importance, measure
 from zswarm.ot.analysis.comparison import By, Comparison
 from zswarm.ot.analysis.effect_size import Friedman
 from zswarm.ot.analysis.figures import EACH
@@ -13,6 +13,10 @@ from zswarm.ot.analysis.measure import SEARCH
 from zswarm.ot.record.reader import Run
 
 PROBLEM = "problem."
+UNASSESSED = (
+    "no champion was assessed on held-out seeds: where trials differ by seed, zswarm-ot evaluate "
+    "FOLDER plays all champions on the same seeds, and compare --measure fitness compares them"
+)
 
 
 def compare(groups: Mapping[str, Sequence[Run]], by: By, of: str) -> Comparison:
@@ -25,9 +29,19 @@ def compare(groups: Mapping[str, Sequence[Run]], by: By, of: str) -> Comparison:
         ConfigError: runs cannot be compared, or have no such number.
     """
     settings = {group: flat(members[0].experiment) for group, members in groups.items()}
+    runs = [run for members in groups.values() for run in members]
     if of == SEARCH:
         loaded, notes = curves.load(groups)
-        return comparison.of_series(loaded, by, notes, settings)
+        found = comparison.of_series(loaded, by, notes, settings)
+        finished = [run for run in runs if run.finished]
+        if finished and all(run.held_out is None for run in finished):
+            found = found._replace(notes=[*found.notes, UNASSESSED])
+        if len(finished) == len(runs):
+            return found
+        why = "not all of the runs are finished"
+        return found._replace(
+            importance=found.importance and importance.without(len(runs), why)
+        )
     values, counted, left_out = measure.values(groups, of)
     loaded, notes = curves.load(counted)
     if any(len(loaded[group]) != len(members) for group, members in counted.items()):
@@ -41,12 +55,12 @@ def compare(groups: Mapping[str, Sequence[Run]], by: By, of: str) -> Comparison:
 
 def numbers(
     groups: Mapping[str, Sequence[Run]], of: str
-) -> tuple[dict[str, np.ndarray], str]:
-    """Return one number of each run by group, and what it is."""
+) -> tuple[dict[str, np.ndarray], str, list[str]]:
+    """Return one number of each run by group, what it is, and notes on omitted runs."""
     if of != SEARCH:
-        values, _, _ = measure.values(groups, of)
-        return values, measure.words(of)
-    loaded, _ = curves.load(groups)
+        values, _, left_out = measure.values(groups, of)
+        return values, measure.words(of), left_out
+    loaded, notes = curves.load(groups)
     started = curves.started(loaded)
     return (
         {
@@ -54,6 +68,7 @@ def numbers(
             for name, runs in started.items()
         },
         f"best fitness, {EACH}",
+        notes,
     )
 
 

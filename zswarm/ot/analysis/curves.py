@@ -57,8 +57,7 @@ def series(run: "Run") -> Series:
             [missing if row[key] is None else row[key] for row in history], np.float64
         )
 
-    # A score is one number for all of a candidate's games.
-    trials = 1 if run.relative else run.experiment.problem.trials
+    trials = run.fitness_trials
     best = column("best", -np.inf)
     best = np.where(np.isfinite(best), best, -np.inf)
     # Negative where the clock was set back.
@@ -162,8 +161,12 @@ def unfinished(runs: Sequence["Run"]) -> list[str]:
     for run in runs:
         if not run.finished:
             state = "is still running" if run.going_on else "is not finished"
-            generations = plural(run.experiment.generations, "generation")
-            notes.append(f"{run.name} {state}: {run.generations()} of {generations}")
+            stop, done = run.experiment.stop, run.generations()
+            if stop.evaluations or stop.simulations:
+                so_far = f"{plural(done, 'generation')} so far"
+            else:
+                so_far = f"{done} of {plural(run.experiment.generations, 'generation')}"
+            notes.append(f"{run.name} {state}: {so_far}")
     return notes
 
 

@@ -34,7 +34,8 @@ class Importance(NamedTuple):
 
     effects: list[Effect]  # the most important first
     rest: float  # share of higher interactions
-    noise: float  # share of the differences between runs of the same setting
+    # Share of the differences between runs of the same setting; None without repeats.
+    noise: float | None
     runs: int
     why: str = ""  # why there are no effects
 
@@ -63,21 +64,25 @@ def importance(
     y = np.asarray(values, np.float64)
     names, levels = _factors(settings)
     if not names:
-        return _none(len(y), "the runs have the same settings")
+        return without(len(y), "the runs have the same settings")
     if not np.isfinite(y).all():
-        return _none(len(y), "in some runs every candidate failed")
+        return without(len(y), "in some runs every candidate failed")
     cells = {tuple(row) for row in levels.tolist()}
     sizes = [len(set(column)) for column in levels.T.tolist()]
     if len(cells) < np.prod(sizes):
-        return _none(
+        return without(
             len(y), "the settings of the runs are no full grid: not all combinations ran"
         )
     y, levels = _balanced(y, levels)
     total = float(((y - y.mean()) ** 2).sum())
     if total <= np.finfo(np.float64).eps * len(y) * float((y**2).max()):
-        return _none(len(y), "all runs have the same fitness")
+        return without(len(y), "all runs have the same fitness")
     within = y - _means(y, levels, range(len(names)))
     noise, free = float((within**2).sum()), len(y) - len(cells)
+    if not free and len(names) == 1:
+        return without(
+            len(y), "no setting was repeated, so chance cannot be told from an effect"
+        )
     chance = noise / free if free else None
     effects, explained = [], 0.0
     main = {}
@@ -95,7 +100,7 @@ def importance(
             effects.append(_effect((names[a], names[b]), squares, degrees, chance, total))
     rest = max(0.0, total - noise - explained) / total
     effects.sort(key=lambda effect: -effect.eta2)
-    return Importance(effects, rest, noise / total, len(y))
+    return Importance(effects, rest, noise / total if free else None, len(y))
 
 
 def _effect(
@@ -110,8 +115,9 @@ def _effect(
     return Effect(settings, squares / total, max(0.0, squares - degrees * chance) / total)
 
 
-def _none(runs: int, why: str) -> Importance:
-    return Importance([], 0.0, 0.0, runs, why)
+def without(runs: int, why: str) -> Importance:
+    """Return that there is no decomposition of some runs' fitness, and why."""
+    return Importance([], 0.0, None, runs, why)
 
 
 def _factors(settings: Sequence[Mapping[str, Any]]) -> tuple[list[str], np.ndarray]:

@@ -112,7 +112,7 @@ def _value(run: Run, name: str) -> float:
             raise ConfigError(
                 f"{run.shown}: its champion was not assessed on held-out seeds"
             )
-        return run.held_out.mean / run.experiment.problem.trials
+        return run.held_out.mean / run.fitness_trials
     found = load(run)
     if name != FITNESS and name not in found.metrics:
         known = ", ".join([SEARCH, HELD_OUT, FITNESS, *found.metrics])

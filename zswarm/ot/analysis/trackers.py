@@ -50,7 +50,7 @@ def converted(run: Run) -> ConvertedRun:
         ConfigError: its record or its notes are damaged.
     """
     complete = run.experiment
-    trials = 1 if run.relative else complete.problem.trials
+    trials = run.fitness_trials
     steps = []
     for row in run.table():
         numbers = {

@@ -1,10 +1,11 @@
-"""Racing inside a generation: trials stop of candidates that will hardly be among the best.
+"""Stop trials of candidates that are unlikely to be among the best of a generation.
 
 All candidates play the same seeds, in rounds. After a round, the mean of each is compared with that
-of the last one that may survive. Who is worse by more than a standard error of the difference of
-two means plays no further round. The error is that of a two-way layout, candidates by seeds, pooled
-over the candidates (O. Maron, A. Moore, "The Racing Algorithm", Artificial Intelligence Review 11,
-1997; M. Birattari and others, "A Racing Algorithm for Configuring Metaheuristics", GECCO 2002).
+of the last one that may survive. A candidate that is worse by more than a standard error of the
+difference of two means plays no further round. The error is that of a two-way layout, candidates
+by seeds, pooled over the candidates (O. Maron, A. Moore, "The Racing Algorithm", Artificial
+Intelligence Review 11, 1997; M. Birattari and others, "A Racing Algorithm for Configuring
+Metaheuristics", GECCO 2002).
 """
 
 import numpy as np

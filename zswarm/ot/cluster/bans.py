@@ -81,7 +81,7 @@ class Bans(msgspec.Struct, eq=False):
         if not own or len(own) == len(ready) or not machines.fails_too_much(machine):
             return
         text = (
-            f"{machines.blamed[machine]} trials that failed on it did not fail elsewhere"
+            f"{machines.blamed[machine]} trials failed on it, but not on other machines"
         )
         self.out.note(RunEvent.SERVER_FAULTY, own[0].id, text, machine=machine)
         machines.blamed[machine] = machines.counted[machine] = 0

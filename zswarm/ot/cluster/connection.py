@@ -21,6 +21,7 @@ from zswarm.experiment import slots_of_this_machine
 from zswarm.ot.cluster.local import LocalServer
 from zswarm.protocol import keys
 from zswarm.protocol.keys import RunKey
+from zswarm.system.format import plural
 
 if TYPE_CHECKING:
     import numpy as np
@@ -264,16 +265,12 @@ class Connection:
         """Return who evaluates, for the user."""
         servers, realm = self.options.servers, self.options.realm
         slots = self.local.slots if self.local else 0
-        here = (
-            f"{slots} slot{'s' if slots != 1 else ''} of this machine"
-            if self.local
-            else ""
-        )
+        here = f"{plural(slots, 'slot')} of this machine" if self.local else ""
         if servers == "local":
             return here
         if servers == "auto":
             return f"{here}, and every server found in realm {realm}"
-        return f"waiting for {servers} servers in realm {realm}"
+        return f"waiting for {plural(servers, 'server')} in realm {realm}"
 
     def _evaluates(self) -> "CandidateEvaluator":
         from zswarm.ot.evaluator import CandidateEvaluator

@@ -21,12 +21,14 @@ from zswarm.security import tls_diagnosis
 from zswarm.security.keyring import Keyring
 from zswarm.session import Reach
 from zswarm.system import scouting
+from zswarm.system.starting import daemons
 
 DIAL_S = 2.0  # for one endpoint to answer
 SCOUT_S = 1.0  # for answers to multicast
 ANSWERS, DIALLED = 256, 16  # to multicast; endpoints of one, at most
 NAMED = 5  # servers or endpoints that a line names
 VERSION = keys.CURRENT
+STARTING = "a server of this machine is starting: try again in a moment"
 
 
 class DialResult(NamedTuple):
@@ -44,6 +46,7 @@ def diagnose(
     reach: Reach,
     *,
     known: Iterable[str] = (),
+    starting: bool = False,
 ) -> list[str]:
     """Return why servers are not found, and what to set, a line each.
 
@@ -51,6 +54,7 @@ def diagnose(
 
     Args:
         opened: sessions that found no servers but ``known``.
+        starting: whether a server of this machine was starting when the search began.
     """
     tcp = "tcp" if reach.keyring is None else "tls"
     if not reach.connect and not reach.multicast:
@@ -58,6 +62,8 @@ def diagnose(
             "multicast is off and connect is empty: no server can be found; name a server or"
             f" router: --connect {tcp}/HOST:7467"
         ]
+    if not reach.connect and not known and (starting or daemons()):
+        return [STARTING]
     lines: list[str] = []
     seen = {key for one in opened for key in _tokens(one)}
     groups = [[text] for text in reach.connect]  # of endpoints that lead to one program
@@ -182,7 +188,7 @@ def _unreachable(at: Endpoint) -> str:
         return f"no answer in {DIAL_S:g} s: the machine is off, or a firewall is between"
     except OSError as error:
         if error.errno in (errno.EHOSTUNREACH, errno.ENETUNREACH):
-            text = f"this machine has no way there ({error.strerror})"
+            text = f"no route from this machine ({error.strerror})"
             return f"{text}: correct the address or the network"
         return f"cannot be dialled: {error.strerror}"
     return ""

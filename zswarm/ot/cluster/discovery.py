@@ -7,6 +7,7 @@ import queue
 import time
 from collections import Counter
 from contextlib import ExitStack
+from functools import partial
 from typing import NamedTuple
 
 import msgspec
@@ -23,6 +24,7 @@ from zswarm.protocol import codec, keys
 from zswarm.protocol.keys import ServerKey
 from zswarm.protocol.messages import Offer, Reply, Requirements
 from zswarm.session import Reach
+from zswarm.system.starting import daemons
 
 OFFER_S = QUERY_S["offer"]
 ROUND_TRIPS_WAIT_S = 1.0  # until all servers whose answers are timed are found
@@ -55,13 +57,14 @@ def survey(
     realm: str, reach: Reach, *, requirements: Requirements, wait_s: float
 ) -> Survey:
     """Return all servers that show up within a time, those of a realm with their offers."""
+    diagnose = partial(diagnosis.diagnose, realm, starting=daemons() > 0)
     try:
         opened = _open(reach, max(wait_s, DIAL_S))
     except NoRouter:
-        return Survey([], {}, diagnosis.diagnose(realm, [], reach))
+        return Survey([], {}, diagnose([], reach))
     try:
         tokens, found = _ask_all(opened, realm, requirements, wait_s)
-        findings = [] if found else diagnosis.diagnose(realm, [opened], reach)
+        findings = [] if found else diagnose([opened], reach)
     finally:
         session.close(opened)
     others = Counter(

@@ -272,4 +272,4 @@ class Dispatch:
             case "mismatch":
                 self.servers.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
             case _:  # cancelled, though nobody did: not to be sent the same at once
-                self.servers.pause(server)
+                self.servers.pause_server(server)

@@ -13,16 +13,20 @@ NAMED = 5  # servers that prepare, in a standing
 # expired. One that is restarted has another id.
 FORGET_S = 120.0
 
+# Of a server: phase, slots, ready ones, taken ones, machine, and whether it is partial.
+ServerCounts = tuple[Phase, int, int, int, str, bool]
+
 
 class Roster(msgspec.Struct, eq=False):
     """The servers of a run, by what they hold."""
 
     phases: Counter[Phase] = msgspec.field(default_factory=Counter)
-    leased: dict[str, RemoteServer] = {}
     waiting: dict[str, RemoteServer] = {}  # LEASED, without a slot
     preparing: dict[str, RemoteServer] = {}  # LEASED, with slots, none of them ready
     ready: dict[str, RemoteServer] = {}  # LEASED, with a slot ready
-    partial: dict[str, RemoteServer] = {}  # LEASED, asked for fewer slots than it has
+    partial: dict[
+        str, RemoteServer
+    ] = {}  # LEASED, asked for fewer slots than its capacity
     slots: int = 0  # ready
     granted: int = 0  # slots
     taken: int = 0  # slots, granted or asked for
@@ -30,7 +34,7 @@ class Roster(msgspec.Struct, eq=False):
         set()
     )  # this machine's servers; one that is started again has another id
     machines: Counter[str] = msgspec.field(default_factory=Counter)  # taken, by machine
-    _counted: dict[str, tuple[Phase, int, int, int, str]] = {}
+    _counted: dict[str, ServerCounts] = {}
     # IDLE and without a token, since when; the longest in front.
     _absent: OrderedDict[str, tuple[float, RemoteServer]] = msgspec.field(
         default_factory=OrderedDict
@@ -38,18 +42,22 @@ class Roster(msgspec.Struct, eq=False):
 
     def update(self, server: RemoteServer) -> None:
         """Count a server as it is now."""
-        self._add(self._counted.pop(server.id, None), -1)
         is_leased = server.phase == Phase.LEASED
         slots, ready = (server.slots, server.ready) if is_leased else (0, 0)
-        counted = server.phase, slots, ready, server.taken(), server.machine
+        is_partial = is_leased and server.wanted < server.capacity
+        taken, machine = server.taken(), server.machine
+        counted = server.phase, slots, ready, taken, machine, is_partial
+        before = self._counted.get(server.id)
+        if counted == before:
+            return
+        self._add(before, -1)
         self._counted[server.id] = counted
         self._add(counted, 1)
         for names, belongs in (
-            (self.leased, is_leased),
             (self.waiting, is_leased and not slots),
             (self.preparing, bool(slots and not ready)),
             (self.ready, bool(ready)),
-            (self.partial, is_leased and server.wanted < server.capacity),
+            (self.partial, is_partial),
         ):
             if belongs:
                 names[server.id] = server
@@ -88,9 +96,9 @@ class Roster(msgspec.Struct, eq=False):
         """Iterate over the servers that can evaluate, or will once a slot is prepared."""
         return itertools.chain(self.ready.values(), self.preparing.values())
 
-    def _add(self, counted: tuple[Phase, int, int, int, str] | None, sign: int) -> None:
+    def _add(self, counted: ServerCounts | None, sign: int) -> None:
         if counted is not None:
-            phase, slots, ready, taken, machine = counted
+            phase, slots, ready, taken, machine, _ = counted
             self.phases[phase] += sign
             self.granted += sign * slots
             self.slots += sign * ready

@@ -20,6 +20,7 @@ from zswarm.ot.cluster.roster import Roster
 from zswarm.ot.notes import RunEvent
 from zswarm.protocol import messages
 from zswarm.protocol.messages import Lease, Offer, Refused, Release, Renew, Reply, Verb
+from zswarm.system.format import plural
 
 # A third of the lease time; only the reply to a renewal has the current number of slots.
 RENEW_S = 20.0
@@ -90,7 +91,7 @@ class Servers(msgspec.Struct, eq=False):
         server.present = False
         if server.phase == Phase.LEASED:
             out = sum(batch.missing for batch in server.batches.values())
-            self.out.note(RunEvent.SERVER_LEFT, name, f"{out} trials were with it")
+            self.out.note(RunEvent.SERVER_LEFT, name, plural(out, "unanswered trial"))
             self._move(server, Phase.LEAVING)
         elif server.phase == Phase.IDLE:
             self._remember(server)
@@ -281,19 +282,19 @@ class Servers(msgspec.Struct, eq=False):
                 self.ask_by(server, again_at)
 
     def _refused(self, server: RemoteServer, verb: Verb, refused: Refused) -> None:
-        match verb, refused.code:
-            case "renew", "lease-lost":
-                self.lease_lost(server, refused.reason)
-            case _ if server.phase == Phase.LEASED:
-                self.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
-            case "reserve", "superseded" if server.own:
-                self._move(server, Phase.IDLE)
-                self.out.failure = f"{server.id}: {refused.reason}"
-            case _:
-                self._move(server, Phase.IDLE)
+        taken_over = (verb, refused.code) == ("reserve", "superseded")
+        if (verb, refused.code) == ("renew", "lease-lost"):
+            self.lease_lost(server, refused.reason)
+        elif server.phase == Phase.LEASED:
+            self.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
+        else:
+            self._move(server, Phase.IDLE)
+            if not (taken_over and server.own):
                 self._note_once(RunEvent.SERVER_REFUSED, server, refused.reason)
-                if refused.code == "superseded":
-                    self.out.commands.append(Superseded(server.id, refused.reason))
+        if taken_over and server.own:
+            self.out.failure = f"{server.id}: {refused.reason}"
+        elif taken_over:
+            self.out.commands.append(Superseded(server.id, refused.reason))
 
     def drop(self, server: RemoteServer, note: RunEvent, text: str) -> None:
         """Release the lease of a server; do not use it until its token appears again."""
@@ -306,7 +307,7 @@ class Servers(msgspec.Struct, eq=False):
         self.out.note(RunEvent.SERVER_LOST, server.id)
 
     def lease_lost(self, server: RemoteServer, reason: str) -> None:
-        """Reserve again, after a pause, at a server that ended the lease."""
+        """Ask a server that ended the lease for its offer again, after a pause."""
         if server.phase == Phase.LEAVING:
             self.end(server, Phase.IDLE)
         else:
@@ -331,7 +332,7 @@ class Servers(msgspec.Struct, eq=False):
         server.silence_reported = True
         self.end(server, Phase.BACKED_OFF, resumable=True, again_s=BACK_OFF_S)
 
-    def pause(self, server: RemoteServer) -> None:
+    def pause_server(self, server: RemoteServer) -> None:
         """Send no batch to a server without room for a while, then renew its lease."""
         server.paused_until = self.out.now + PAUSE_S
         heapq.heappush(self._due, (server.paused_until, server.id))

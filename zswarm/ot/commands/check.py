@@ -31,8 +31,11 @@ MENU = ("Begin", 2)
     is_flag=True,
     help="Search for servers; show which ones match, and why the others do not.",
 )
+@options.network_options
 @options.json_option
-def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) -> None:
+def command(
+    name: str, overrides: tuple[str, ...], search: bool, as_json: bool, **network: Any
+) -> None:
     """Explain an experiment, and find mistakes.
 
     Shows what is evolved, how much work that is, how long it takes here and on other machines,
@@ -49,11 +52,12 @@ def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) 
     from zswarm.ot.study import effort, effort_table
     from zswarm.ot.study.study import checked_plan
 
-    loaded, complete = options.loaded_and_complete(name, overrides, {})
+    loaded, complete = options.loaded_and_complete(name, overrides, network)
     cells: list[Cell] = []
     if complete.study.runs() > 1 or complete.study.varies():
         _, cells = checked_plan(complete, name, {})
-    explained = dry_run.explain(complete, build.build(complete))
+    with tables.doing("playing a few trials; the first time, kernels are compiled"):
+        explained = dry_run.explain(complete, build.build(complete))
     explained.warnings.extend(effort.warnings(loaded, cells) if cells else ())
     survey = _survey(complete) if search else None
     if as_json:
@@ -77,19 +81,37 @@ def command(name: str, overrides: tuple[str, ...], search: bool, as_json: bool) 
         tables.entry(about, clean(text))
     if cells:
         _show_study(cells, complete, explained)
-    if survey is not None:
-        _show_servers(survey, complete)
+    matches = None if survey is None else _show_servers(survey, complete)
     warnings = [*explained.warnings, *explained.unportable]
     for warning in warnings:
         tables.entry("warning", warning, colour="yellow")
+    run = shlex.join(["zswarm-ot", "run", name, *_given(overrides, network)])
+    tables.line(f"{_verdict(warnings, matches, complete.cluster.servers)}: {clean(run)}")
+
+
+def _verdict(warnings: list[str], matches: int | None, servers: int | str) -> str:
+    """Say whether an experiment can be run, given how many servers match, if that is known."""
+    from zswarm.ot.estimate.dry_run import NOTHING_EVOLVES
+
+    if any(text.endswith(NOTHING_EVOLVES) for text in warnings):
+        return "when its trials no longer fail"
+    if matches is not None and isinstance(servers, int) and matches < servers:
+        return f"when {plural(servers - matches, 'more matching server')} can be reached"
     verdict = "the experiment can be run" if warnings else "the experiment is fine"
-    run = [
-        "zswarm-ot",
-        "run",
-        name,
-        *(word for each in overrides for word in ("--set", each)),
-    ]
-    tables.line(f"{verdict}: {clean(shlex.join(run))}")
+    return verdict if matches != 0 else f"{verdict}, but only this machine can compute it"
+
+
+def _given(overrides: tuple[str, ...], network: dict[str, Any]) -> Iterator[str]:
+    """Yield the options of ``run`` that mean the same."""
+    for override in overrides:
+        yield from ("--set", override)
+    for name, value in network.items():
+        option = name.replace("_", "-")
+        if isinstance(value, bool):
+            yield f"--{option}" if value else f"--no-{option}"
+        else:
+            for each in value if isinstance(value, tuple) else filter(None, [value]):
+                yield from (f"--{option}", each)
 
 
 def _show_study(cells: "list[Cell]", complete: Experiment, e: "Explanation") -> None:
@@ -207,7 +229,7 @@ def _fitness(e: "Explanation", complete: Experiment) -> str:
         judged = f"one trial, {'the same' if fixed else 'a new one'} in every generation"
     else:
         trials = "the same" if fixed else "new ones"
-        judged = f"the sum over {e.trials:,} trials, {trials} in every generation"
+        judged = f"the mean of {e.trials:,} trials, {trials} in every generation"
     if e.participants > 1:
         games = (
             f"{plural(e.games, 'game')} in the first generation, ranked by {e.ranking}"
@@ -226,7 +248,8 @@ def _survey(complete: Experiment) -> "Survey":
     return discovery.survey(cluster.realm, reach, requirements=requirements, wait_s=1.5)
 
 
-def _show_servers(survey: "Survey", complete: Experiment) -> None:
+def _show_servers(survey: "Survey", complete: Experiment) -> int:
+    """Print which servers match, and why others do not; return how many match."""
     from zswarm.ot.cluster import matching
 
     realm, choice = complete.cluster.realm, matching.choice(complete.cluster)
@@ -246,3 +269,4 @@ def _show_servers(survey: "Survey", complete: Experiment) -> None:
             tables.entry("", clean(f"{server} is not used: {reason}"))
     for line in survey.findings:
         tables.entry("", clean(line))
+    return len(matching_ones)

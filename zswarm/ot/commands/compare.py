@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 MENU = ("Results", 8)
 PAIRS = 6  # pairs that are described in words
+NOT_REPEATED = " Without repeats, chance has a part in each share."
 REST = 0.001  # share of higher interactions from which on they are shown
 
 
@@ -58,12 +59,15 @@ def command(
     from zswarm.ot.analysis import csv as spreadsheet
     from zswarm.ot.analysis import latex as latex_tables
     from zswarm.ot.record.run_index import runs_below
+    from zswarm.ot.study.study import not_begun
     from zswarm.system.files import write_for_user
 
     options.check_stdout("-" if "-" in (csv, latex) else None, as_json=as_json)
     skipped: list[str] = []
     groups = grouping.renamed(grouping.groups(runs_below(paths, skipped)), labels)
     found = compared.compare(groups, by, measure)
+    absent = [note for path in paths for note in not_begun(path)]
+    found = found._replace(notes=[*absent, *found.notes])
     ranked = compared.over_problems(groups, found)
     for note in skipped:
         tables.line(note, stderr=True)
@@ -135,7 +139,8 @@ def show(found: "Comparison") -> None:
     )
     table = tables.table("group", *numbers, padding=(0, 1, 0, 0))
     for row in found.rows:
-        quartiles = f"{_number(row.q25)} / {_number(row.q75)}"
+        several = row.runs > 1
+        quartiles = f"{_number(row.q25)} / {_number(row.q75)}" if several else ""
         values = (_number(row.median), quartiles, _number(row.best), _number(row.worst))
         held_out = "" if row.held_out is None else _number(row.held_out)
         costs = (f"{row.evaluations:.0f}", duration(row.seconds))
@@ -184,12 +189,14 @@ def _show_importance(found: "Importance") -> None:
         tables.row(table, effect.name, f"{effect.eta2:.1%}", beyond)
     if found.rest >= REST:
         tables.row(table, "interactions of three and more", f"{found.rest:.1%}", "")
-    tables.row(table, "differences between repeats", f"{found.noise:.1%}", "")
+    if found.noise is not None:
+        tables.row(table, "differences between repeats", f"{found.noise:.1%}", "")
     tables.show(table)
+    chance = "" if found.noise is not None else NOT_REPEATED
     tables.paragraph(
-        f"Share of the variance of the {found.runs} runs' fitness that a setting explains (eta "
-        "squared), and without what chance explains (epsilon squared). a x b: how far the effect "
-        "of a depends on b."
+        f"Share of the variance of the {found.runs} runs' fitness explained by a setting (eta "
+        "squared), and the same share corrected for chance (epsilon squared). a x b: how far the "
+        f"effect of a depends on b.{chance}"
     )
 
 
@@ -204,10 +211,10 @@ def _show_pairs(found: "Comparison") -> None:
     tables.show(table)
     methods = ", ".join(sorted({pair.method for pair in found.pairs}))
     tables.paragraph(
-        f"Mann-Whitney U ({methods}). p: how often chance alone gives so large a difference where "
-        f"there is none; below {comparison.LEVEL} it is significant. Holm: corrected for the "
-        "number of pairs; this one decides. A12: how often a run of the first group is better "
-        "than one of the second; 0.5: equally often."
+        f"Mann-Whitney U ({methods}). p: how often chance alone gives a difference at least this "
+        f"large where there is none; below {comparison.LEVEL} it is significant. Holm: corrected "
+        "for the number of pairs; this one decides. A12: how often a run of the first group is "
+        "better than one of the second; 0.5: equally often."
     )
     tables.line("")
     for pair in sorted(found.pairs, key=lambda pair: pair.p_holm)[:PAIRS]:

@@ -45,9 +45,9 @@ def command(out: Path, as_json: bool, **search: Any) -> None:
     states = set()
     for finding in examine(search["realm"], out, options.reach(**search, keys=False)):
         states.add(finding.state)
-        text, remedy = clean(finding.text), clean(finding.mend)
+        text, remedy = clean(finding.text), clean(finding.fix)
         if as_json:
-            tables.print_json({**finding._asdict(), "text": text, "mend": remedy})
+            tables.print_json({**finding._asdict(), "text": text, "fix": remedy})
         else:
             tables.fact(finding.state, finding.check, text, remedy)
     if not as_json:

@@ -47,7 +47,7 @@ LABEL = 16  # columns
     shell_complete=suggestions.runs,
     help="The opponent in a game of several participants.  [default: the champion itself]",
 )
-@options.set_option_of("problem", "problem.settings.agents=20")
+@options.set_option_of("problem", "problem.settings.robots=20")
 @options.csv_option
 @options.cluster_options
 @options.json_option
@@ -70,7 +70,7 @@ def command(
     kept in the runs' folders; compare and plot use it: --measure fitness, or a metric.
 
     \b
-      zswarm-ot evaluate runs/stadium
+      zswarm-ot evaluate runs/minisim
       zswarm-ot evaluate champion.zsc --trials 1000
       zswarm-ot evaluate runs/minisim --set problem.settings.robots=20
       zswarm-ot evaluate runs/minisim-duel --against runs/minisim-duel-2
@@ -126,9 +126,10 @@ def _show(
     fitness, trials = played.fitness_summary(), len(played.fitness)
     game = played.score() if played.results.shape[1] > 1 else {}
     same = played.all_the_same()
+    played_trials = plural(trials, "trial" if same else "held-out trial")
     tables.paragraph(
-        f"{clean(controller.simulator)}, champion of {clean(controller.run)} (fitness "
-        f"{controller.fitness:.6g}), {plural(trials, 'trial' if same else 'held-out trial')}"
+        f"{clean(controller.simulator)}, champion of {clean(controller.run)}, fitness "
+        f"{controller.in_search()} in search; {played_trials}"
     )
     if same:
         tables.paragraph("every trial was the same: nothing in them depends on the seed")

@@ -92,11 +92,12 @@ def command(
     if as_json:
         what = {"target": target, "name": f"zs_{name}", "folder": str(out)}
         who = {"run": controller.run, "fitness": controller.fitness, "sha256": digest}
+        who["trials"] = controller.trials
         tables.print_json({**what, "files": list(files), **who})
         return
     for file in written:
         tables.line(clean(str(file)))
-    about = f"of {controller.run}, fitness {controller.fitness:.6g}, {controller.representation}"
+    about = f"of {controller.run}, fitness {controller.in_search()}, {controller.representation}"
     tables.entry("controller", about)
     tables.line(f"{'parameters':12}sha256 {digest}")
     tables.line(f"{'next':12}{targets.on(target, name, out)}")

@@ -6,7 +6,7 @@ import click
 
 from zswarm.ot.commands.shared import options
 from zswarm.ot.display import tables
-from zswarm.system.format import plural
+from zswarm.system.format import per_trial, plural
 
 MENU = ("Results", 9)
 
@@ -32,7 +32,7 @@ def command(path: Path, out: Path, overrides: tuple[str, ...], as_json: bool) ->
 
     result = import_file.load(path, overrides)
     made = imported.record(result, out)
-    fitness = made.champion.fitness
+    fitness, shown = made.champion.fitness, made.champion.in_search()
     if as_json:
         tables.print_json(
             {
@@ -42,6 +42,7 @@ def command(path: Path, out: Path, overrides: tuple[str, ...], as_json: bool) ->
                 "candidates": len(result.genomes),
                 "best": fitness,
                 "played": made.played,
+                "trials": made.champion.trials,
             }
         )
         return
@@ -49,19 +50,18 @@ def command(path: Path, out: Path, overrides: tuple[str, ...], as_json: bool) ->
         tables.line(line)
     if result.experiment.problem.simulator == "epuck":
         settings = result.experiment.problem.settings
-        trials = plural(result.experiment.problem.trials, "trial")
         tables.line(
-            f"{result.experiment.representation.kind}; {settings['mission']}, {trials} here: "
-            f"fitness {fitness:.6g}"
+            f"{result.experiment.representation.kind}; {settings['mission']}: fitness {shown} here"
         )
     else:
         count = plural(len(result.genomes), "candidate")
-        tables.line(f"{count}, best fitness {fitness:.6g} according to FREVO")
+        tables.line(f"{count}, best fitness {shown} according to FREVO")
     if made.played == fitness:
         tables.line("the best was played here: the same fitness")
     elif made.played is not None:
+        played = per_trial(made.played, made.champion.trials)
         tables.line(
-            f"the best was played here: fitness {made.played:.6g}; FREVO used other rooms, or "
+            f"the best was played here: fitness {played}; FREVO used other rooms, or "
             "another version"
         )
     tables.line(f"run     {made.folder}")

@@ -12,9 +12,12 @@ from zswarm.errors import ConfigError
 from zswarm.ot.commands.shared import catalog, options, suggestions
 from zswarm.ot.commands.shared.catalog import CatalogEntry
 from zswarm.ot.display import tables
+from zswarm.plugins import registry
+from zswarm.system.format import per_trial
 from zswarm.system.text import clean
 
 MENU = ("Results", 1)
+LABEL = 17  # columns
 
 
 @click.command("list")
@@ -26,9 +29,9 @@ MENU = ("Results", 1)
 def command(folder: Path, tags: tuple[str, ...], as_json: bool) -> None:
     """Show runs, examples and the parts of experiments.
 
-    Lists the runs below a folder, the examples, and the installed simulators, representations,
-    optimizers and rankings with their settings and defaults. "zswarm-ot describe NAME" explains
-    one of them.
+    Lists the runs below a folder, and the names of the examples and of all simulators,
+    representations, optimizers and rankings; plug-ins with their settings and defaults.
+    "zswarm-ot describe NAME" explains a part, "zswarm-ot check NAME" an example.
     """
     from zswarm.ot.record.run_index import list_runs
 
@@ -37,35 +40,45 @@ def command(folder: Path, tags: tuple[str, ...], as_json: bool) -> None:
         raise ConfigError(f"{clean(str(folder))}: no such folder")
     runs = [row for row in list_runs(folder) if {*tags} <= {*row.get("tags", ())}]
     examples = sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
-    found = catalog.installed()
     if as_json:
-        names = {
-            f"{kind}s": [part.name for part in found if part.kind == kind]
-            for kind in catalog.KINDS
-        }
-        about = [catalog.as_object(part) for part in found]
-        tables.print_json({"runs": runs, "examples": examples, **names, "parts": about})
+        _print_json(runs, examples)
         return
-    _show_parts(found)
-    tables.entry("examples", ", ".join(examples))
+    for kind in catalog.KINDS:
+        tables.entry(f"{kind}s", ", ".join(registry.BUNDLED[kind]), label=LABEL)
+    _show_plugins(catalog.plugged())
+    tables.entry("examples", ", ".join(examples), label=LABEL)
+    tables.paragraph(
+        "More about a part: zswarm-ot describe NAME; about an example: zswarm-ot check NAME"
+    )
     if runs:
         _show_runs(runs)
     else:
-        tables.entry("runs", f"none in {folder}{' with this tag' if tags else ''}")
+        text = f"none in {folder}{' with this tag' if tags else ''}"
+        tables.entry("runs", text, label=LABEL)
 
 
-def _show_parts(found: Sequence[CatalogEntry]) -> None:
-    for number, part in enumerate(found):
-        if not number or part.kind != found[number - 1].kind:
-            tables.line(f"{part.kind}s")
+def _print_json(runs: list[dict[str, Any]], examples: list[str]) -> None:
+    found = catalog.installed()
+    names = {
+        f"{kind}s": [part.name for part in found if part.kind == kind]
+        for kind in catalog.KINDS
+    }
+    about = [catalog.as_object(part) for part in found]
+    tables.print_json({"runs": runs, "examples": examples, **names, "parts": about})
+
+
+def _show_plugins(found: Sequence[CatalogEntry]) -> None:
+    if found:
+        tables.line("plug-ins")
+    for part in found:
+        name = f"{part.name} ({part.kind})"
         if part.error:
-            tables.item(part.name, part.error)
+            tables.item(name, part.error)
             continue
         settings = "its program lists them"
         if not part.unstarted:
             settings = catalog.settings_line(part.settings) or "none"
-        tables.item(part.name, part.about, f"settings: {settings}")
-    tables.paragraph("More about one of them: zswarm-ot describe NAME")
+        tables.item(name, part.about, f"settings: {settings}")
 
 
 def _show_runs(runs: list[dict[str, Any]]) -> None:
@@ -88,7 +101,7 @@ def _show_runs(runs: list[dict[str, Any]]) -> None:
         at = time.strftime("%Y-%m-%d %H:%M", time.localtime(at)) if at else ""
         champion = row["champion"] or {"mean": None}
         best, held_out = (
-            "" if value is None else f"{value:.6g}"
+            "" if value is None else per_trial(value, row["trials"])
             for value in (row["best"], champion["mean"])
         )
         history = row["history_hash"][:12] if row["history_hash"] else "not finished"
@@ -98,6 +111,7 @@ def _show_runs(runs: list[dict[str, Any]]) -> None:
             cells.append(": ".join(words))
         tables.row(table, *cells)
     tables.show(table)
+    tables.unit(row.get("trials", 1) for row in runs)
     for row in runs:
         if row.get("versions"):
             tables.paragraph(f"{row['run']} was {row['versions']}.")

@@ -15,6 +15,9 @@ from zswarm.plugins import registry
 
 MENU = ("Begin", 5)
 EXAMPLE = "my-simulator"  # the example that is copied; its folder has _ in place of -
+COMPILED = (
+    "compiled"  # its subfolder with what a compiled simulator has instead, or besides
+)
 FILES = (".md", ".py", ".toml")
 
 
@@ -25,8 +28,9 @@ def command() -> None:
 
 @command.command()
 @click.argument("name")
-def simulator(name: str) -> None:
-    """Begin a simulator: a package with its test and an experiment, in a new folder.
+@click.option("--compiled", is_flag=True, help="One whose trials numba compiles.")
+def simulator(name: str, compiled: bool) -> None:
+    """Begin a simulator: a package with its tests and an experiment, in a new folder.
 
     It is complete and evolves; change it into yours.
 
@@ -36,7 +40,7 @@ def simulator(name: str) -> None:
       pip install -e .
       zswarm-ot run lost-robots.toml
     """
-    files = skeleton(name)
+    files = skeleton(name, compiled=compiled)
     folder = Path(name)
     with options.writing(folder, "give another name, or go to another folder"):
         folder.mkdir()
@@ -45,19 +49,27 @@ def simulator(name: str) -> None:
     tables.line(f"{folder}: a simulator that can be evolved; change {module_of(name)}.py")
     steps = [f"cd {shlex.quote(name)}", "pip install -e .", "python -m pytest"]
     steps += [f"zswarm-ot {verb} {name}.toml" for verb in ("check", "run")]
+    steps.append(f"zswarm-ot replay runs/{name}")
     tables.line("next:  " + "\n       ".join(steps))
 
 
-def skeleton(name: str) -> dict[str, str]:
+def skeleton(name: str, *, compiled: bool = False) -> dict[str, str]:
     """Return the files of a new simulator: those of the example, renamed.
+
+    Args:
+        compiled: take the files of the compiled example in place of those of the same name.
 
     Raises:
         ConfigError: a simulator cannot have this name.
     """
     _check(name)
     folder = experiment.examples_folder() / module_of(EXAMPLE)
-    paths = [path for path in sorted(folder.iterdir()) if path.suffix in FILES]
-    example = {path.name: path.read_text(encoding="utf-8") for path in paths}
+    example = {
+        path.name: path.read_text(encoding="utf-8")
+        for part in (folder, folder / COMPILED)[: 1 + compiled]
+        for path in sorted(part.iterdir())
+        if path.suffix in FILES
+    }
     made = class_of(name)
     if name != EXAMPLE and any(
         re.search(rf"\b{made}\b", text) for text in example.values()

@@ -119,7 +119,7 @@ def command(
             )
         look = SIZES[size]._replace(file=style or "")
         figures.plain_style()
-        figures.save(_figure(groups, shape, measure, look, title), output)
+        figures.save(_figure(groups, shape, measure, look, title, skipped), output)
         drawn = {group: len(members) for group, members in groups.items()}
         _report(output, drawn, as_json=as_json, stderr=False)
         return
@@ -143,14 +143,17 @@ def _figure(
     measure: str,
     style: "FigureStyle",
     title: str,
+    skipped: list[str],
 ) -> "Figure":
-    """Draw one number of each run, or an archive."""
+    """Draw one number of each run, or an archive, and print what to know of the runs."""
     from zswarm.ot.analysis import archive, boxes, compared
 
     if shape == "archive":
         runs = [run for members in groups.values() for run in members]
         return archive.draw(archive.of_runs(runs), style, title)
-    values, height = compared.numbers(groups, measure)
+    values, height, notes = compared.numbers(groups, measure)
+    for note in [*skipped, *notes]:
+        tables.line(note, stderr=True)
     return boxes.draw(
         values, height, "violin" if shape == "violin" else "box", style, title
     )

@@ -8,11 +8,18 @@ import click
 from zswarm.errors import ConfigError
 from zswarm.ot.commands.shared import options, suggestions
 from zswarm.ot.display import tables
-from zswarm.system.format import duration
+from zswarm.system.format import duration, per_trial
 from zswarm.system.text import clean
 
 MENU = ("Evolve", 4)
-FIELDS = ("status", "generation", "generations", "best", "eta_s")
+FIELDS = {
+    "status": "status",
+    "generation": "generation",
+    "generations": "generations",
+    "best": "best_sum",
+    "trials": "fitness_trials",
+    "eta_s": "eta_s",
+}
 FIRST = ("running", "paused", "stopping")
 
 
@@ -59,7 +66,7 @@ def _row(folder: Path) -> dict[str, Any]:
     name = clean(str(folder))
     if "error" in tail.state:
         return {"run": name, "status": "unreadable", "error": tail.state["error"]}
-    return {"run": name, **{key: tail.state[key] for key in FIELDS}}
+    return {"run": name, **{key: tail.state[name] for key, name in FIELDS.items()}}
 
 
 def _show(rows: list[dict[str, Any]]) -> None:
@@ -74,7 +81,8 @@ def _show(rows: list[dict[str, Any]]) -> None:
             row["run"],
             row["status"],
             f"{row['generation']}/{row['generations']}",
-            "" if best is None else f"{best:.6g}",
+            "" if best is None else per_trial(best, row["trials"]),
             "" if left is None else duration(left),
         )
     tables.show(table)
+    tables.unit(row.get("trials", 1) for row in rows)

@@ -1,4 +1,7 @@
-"""Points of a run's charts: a limited number, chosen in the database, however long the run is."""
+"""Points of a run's charts: a limited number, chosen in the database, however long the run is.
+
+Fitness is the mean of a candidate's trials, as everywhere in the dashboard.
+"""
 
 import json
 from typing import Any
@@ -8,6 +11,7 @@ import numpy as np
 from zswarm.ot.dashboard.rows import BatchRow, read_batches
 from zswarm.ot.notes import RunEvent, severity
 from zswarm.ot.record.reader import Run
+from zswarm.system.format import mean
 from zswarm.system.text import clean
 
 MOST = 2000  # points of a curve
@@ -40,7 +44,11 @@ def curve(run: Run, most: int = MOST) -> dict[str, list[Any]]:
         tuple[int, float, float | None, float | None, float | None, float | None, int],
         step,
     )
-    return _columns("generation at best mean low high evaluations", rows)
+    trials = run.fitness_trials
+    means = [
+        (*row[:2], *(mean(value, trials) for value in row[2:6]), row[6]) for row in rows
+    ]
+    return _columns("generation at best mean low high evaluations", means)
 
 
 def track(run: Run) -> dict[str, list[Any]]:
@@ -56,12 +64,13 @@ def track(run: Run) -> dict[str, list[Any]]:
         (
             one.generation,
             at.get(one.generation),
-            *(
-                getattr(one.held_out, name)
-                for name in ("mean", "low", "high", "in_search")
-            ),
+            found.mean,
+            found.low,
+            found.high,
+            found.in_search,
         )
         for one in run.track
+        for found in [one.held_out.per_trial(run.fitness_trials)]
     ]
     return _columns("generation at mean low high in_search", rows)
 
@@ -81,7 +90,7 @@ def spread(run: Run, most: int = SOME) -> dict[str, list[Any]]:
         tuple[int, float, float],
         _chosen(run, most),
     ):
-        fitness.setdefault((generation, at), []).append(value)
+        fitness.setdefault((generation, at), []).append(value / run.fitness_trials)
     shares = list(QUARTILES.values())
     rows = [
         (*key, *np.quantile(values, shares).tolist()) for key, values in fitness.items()
@@ -187,7 +196,10 @@ def generation(run: Run, number: int) -> list[dict[str, Any]]:
         tuple[int, float | None],
         number,
     )
-    return [{"candidate": candidate, "fitness": fitness} for candidate, fitness in rows]
+    return [
+        {"candidate": candidate, "fitness": mean(fitness, run.fitness_trials)}
+        for candidate, fitness in rows
+    ]
 
 
 def champions(run: Run, most: int = SOME) -> list[dict[str, Any]]:
@@ -210,8 +222,12 @@ def champions(run: Run, most: int = SOME) -> list[dict[str, Any]]:
         json.dumps(found[-most:]),
     )
     return [
-        dict(zip(("generation", "candidate", "fitness"), row, strict=True))
-        for row in rows
+        {
+            "generation": of,
+            "candidate": candidate,
+            "fitness": mean(fitness, run.fitness_trials),
+        }
+        for of, candidate, fitness in rows
     ]
 
 

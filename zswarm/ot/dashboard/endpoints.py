@@ -124,7 +124,7 @@ def explained(index: RunIndex, query: Query) -> dict[str, Any]:
         complete, best = index.experiment(id_), rows.get(id_, {}).get("best")
         if complete is not None and best is not None:
             settings.append(flat(complete))
-            values.append(best / complete.problem.trials)
+            values.append(best)
     return importance(settings, values).as_object()
 
 
@@ -158,7 +158,8 @@ def candidate(run: Run, query: Query) -> dict[str, Any]:
     return {
         "generation": of,
         "candidate": which,
-        "fitness": fitness,
+        "fitness": fitness,  # as in the record: the sum of so many trials
+        "fitness_trials": run.fitness_trials,
         "genome": "" if genome is None else genome.hex(),
         "trials": trials[:TRIALS],
         "left_out": max(0, len(trials) - TRIALS),

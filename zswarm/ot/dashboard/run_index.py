@@ -11,6 +11,7 @@ from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.run_index import folders_below, stamp, status, summary
+from zswarm.system.format import mean
 from zswarm.system.text import clean
 
 UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
@@ -95,11 +96,13 @@ def _details(folder: Path) -> tuple[dict[str, Any], Experiment | None]:
         complete = Run(folder).experiment
     except ConfigError as error:
         return {"error": str(error)}, None
+    trials = row["trials"]
     details = {
         "generation": row["generations"],
         "generations": complete.generations,
-        "best": row["best"],
-        "held_out": (row["champion"] or {"mean": None})["mean"],
+        "fitness_trials": trials,
+        "best": mean(row["best"], trials),
+        "held_out": mean((row["champion"] or {"mean": None})["mean"], trials),
         "evaluations": row["candidates"],
         "at": row["finished_at"],
         "history_hash": row["history_hash"],

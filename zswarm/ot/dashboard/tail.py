@@ -19,6 +19,7 @@ from zswarm.ot.record import control_file
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.run_index import stamp, status
 from zswarm.ot.record.schema import ASSESSMENT
+from zswarm.system.format import mean as per_trial
 from zswarm.system.text import clean
 
 EVENTS = 300  # the last ones, with which a page begins
@@ -40,7 +41,7 @@ class RecordTail:
     """Follows one run, from its last generations on.
 
     Attributes:
-        state: of the run, as last returned by ``look``.
+        state: of the run, as last returned by ``look``; fitness is the mean of a trial.
         events: the last ones.
         servers: rows of all servers, by their ids, as last returned.
     """
@@ -128,7 +129,8 @@ class RecordTail:
             self._generation, self._best, self._mean = generation, best, mean
             self._candidates = evaluations
             self._finished.append(at)
-            rows.append([generation, at, best, mean, self._evaluations])
+            means = [per_trial(value, run.fitness_trials) for value in (best, mean)]
+            rows.append([generation, at, *means, self._evaluations])
         return rows
 
     def _events(self, run: Run) -> list[EventRow]:
@@ -174,7 +176,7 @@ class RecordTail:
         rate = sum(server.rate(now) for server in servers) if running else 0.0
         each = complete.problem.trials if complete.ranking.kind == "absolute" else 0
         current, pace = self._generation + 1, self._pace()
-        champion = self._run.held_out
+        champion, means = self._run.held_out, self._run.fitness_trials
         left = complete.generations - current
         after = self._trials_after(complete, each)
         if left or not running:
@@ -198,9 +200,11 @@ class RecordTail:
             "rate": round(rate / each, 2) if each else None,
             "trial_rate": round(rate, 1),
             "eta_s": round(left_s, 1) if pace and found == "running" else None,
-            "best": self._best,
-            "champion": None if champion is None else msgspec.to_builtins(champion),
-            "mean": self._mean,
+            "best": per_trial(self._best, means),
+            "champion": msgspec.to_builtins(champion and champion.per_trial(means)),
+            "mean": per_trial(self._mean, means),
+            "best_sum": self._best,  # as in the record
+            "fitness_trials": means,
             "at": self._newest() or None,
             "servers": sum(server.slots > 0 for server in servers) if running else 0,
             "slots": sum(server.slots for server in servers) if running else 0,

@@ -7,7 +7,7 @@ from typing import Any
 from zswarm.controller import HeldOut
 from zswarm.ot.display.tables import echo, print_json, wrapped
 from zswarm.ot.logger import Generation, Logger, Result, Started
-from zswarm.system.format import duration, plural
+from zswarm.system.format import duration, per_trial, plural, with_trials
 from zswarm.system.terminal import console, moves
 
 BAR, WITH_BAR = 8, 60  # columns of the bar, and of the narrowest terminal that shows it
@@ -34,7 +34,7 @@ class PlainDisplay(Logger):
 
     def on_end(self, result: Result | None) -> None:
         if result is not None:
-            echo(f"{summary(result)}\n{next_steps(result.run)}", sys.stdout)
+            echo(f"{summary(result)}\n{next_steps(result)}", sys.stdout)
 
 
 class JsonDisplay(PlainDisplay):
@@ -95,7 +95,7 @@ class LiveDisplay(PlainDisplay):
         g, now = generation, time.monotonic()
         self._first = self._first or (now, g.evaluations)
         rate = (g.evaluations - self._first[1]) / max(1e-9, now - self._first[0])
-        parts = [f"best {g.best:.5g}", f"mean {g.mean:.5g}", f"{rate:.0f}/s", _servers(g)]
+        parts = [*_fitness(g, 5), f"{rate:.0f}/s", _servers(g)]
         self._last = g.last or self._generations
         self._after = self._last * g.after  # in generations
         self._progress.update(
@@ -152,7 +152,7 @@ def progress(generation: Generation, generations: int) -> str:
     """Describe a generation in one line."""
     g = generation
     return (
-        f"generation {g.generation + 1}/{generations}  best {g.best:.6g}  mean {g.mean:.6g}  "
+        f"generation {g.generation + 1}/{generations}  {'  '.join(_fitness(g))}  "
         f"{plural(g.evaluations, 'evaluation')}  {_servers(g)}"
     )
 
@@ -169,7 +169,7 @@ def summary(result: Result) -> str:
     """Describe the result of a run in three lines, or four if its champion was assessed."""
     best = "the last generation's best score is" if result.relative else "best fitness"
     return (
-        f"{best} {with_mean(result.best, result.trials)} "
+        f"{best} {with_trials(result.best, result.trials)} "
         f"after {plural(result.generations, 'generation')}, "
         f"{plural(result.evaluations, 'evaluation')}, "
         f"{result.requeued:,} {'retry' if result.requeued == 1 else 'retries'}, "
@@ -180,36 +180,25 @@ def summary(result: Result) -> str:
     )
 
 
-def next_steps(run: str) -> str:
+def next_steps(result: Result) -> str:
     """Return commands that show what a run found."""
-    return (
-        f"next    zswarm-ot replay {run}\n        zswarm-ot evaluate {run}\n"
-        f"        zswarm-ot report {run}"
-    )
-
-
-def with_mean(value: float | None, trials: int) -> str:
-    """Return a fitness, the sum of a candidate's trials, and what that is in each of them."""
-    if value is None or trials == 1:
-        return shown(value)
-    return f"{shown(value)} ({value / trials:.6g} a trial)"
+    # A single trial that was not assessed is mostly one that is the same for every seed.
+    alone = result.trials == 1 and result.champion is None
+    commands = ["replay", "plot" if alone else "evaluate", "report"]
+    lines = "\n        ".join(f"zswarm-ot {command} {result.run}" for command in commands)
+    return f"next    {lines}"
 
 
 def held_out(champion: HeldOut | None, trials: int = 1) -> str:
     """Return a line about the champion on held-out seeds and in search; "" without these."""
     if champion is None:
         return ""
-    low, high = shown(champion.low), shown(champion.high)
-    in_search = shown(champion.in_search)
+    found = champion.per_trial(trials)
     return (
-        f"held-out fitness {with_mean(champion.mean, trials)} of the champion "
-        f"(95 %: {low} to {high}, {plural(champion.seeds, 'seed')}); in search {in_search}\n"
+        f"held-out fitness {per_trial(found.mean)} of the champion "
+        f"(95 %: {per_trial(found.low)} to {per_trial(found.high)}, "
+        f"{plural(found.seeds, 'seed')}); in search {per_trial(found.in_search)}\n"
     )
-
-
-def shown(value: float | None) -> str:
-    """Return a fitness in a few digits; "unknown" for None."""
-    return "unknown" if value is None else f"{value:.6g}"
 
 
 def flaws(result: Result) -> list[str]:
@@ -219,6 +208,14 @@ def flaws(result: Result) -> list[str]:
     return found + [
         f"{word}: {plural(count, 'trial')}" for word, count in counts.items() if count
     ]
+
+
+def _fitness(generation: Generation, digits: int = 6) -> list[str]:
+    """Return a generation's best and mean fitness, as the mean of a trial."""
+    g = generation
+    each = "" if g.trials == 1 else " a trial"
+    best, mean = (per_trial(value, g.trials, digits) for value in (g.best, g.mean))
+    return [f"best {best}{each}", f"mean {mean}"]
 
 
 def _servers(generation: Generation) -> str:

@@ -5,13 +5,13 @@ import errno
 import os
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from copy import copy
 from dataclasses import replace
 from typing import IO, TYPE_CHECKING, Any
 
 from zswarm.config.decode import to_json
-from zswarm.system.terminal import console, stdout
+from zswarm.system.terminal import console, moves, stdout
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -110,9 +110,22 @@ def line(text: "str | Text", *, stderr: bool = False) -> None:
     console(stderr=stderr).print(text, soft_wrap=True)
 
 
+def doing(text: str) -> contextlib.AbstractContextManager[object]:
+    """Show on a terminal what is being done, while a ``with`` block does it."""
+    if not moves(sys.stderr):
+        return contextlib.nullcontext()
+    return console(stderr=True, live=True).status(text)
+
+
 def paragraph(text: str, *, stderr: bool = False) -> None:
     """Print lines of the terminal's width, indented from the second on; names are not broken."""
     line(wrapped(text, console(stderr=stderr).width), stderr=stderr)
+
+
+def unit(trials: Iterable[int]) -> None:
+    """Print what fitness is above, if candidates of some run have so many trials."""
+    if max(trials, default=1) > 1:
+        paragraph("fitness is the mean of a candidate's trials")
 
 
 def wrapped(text: str, width: int) -> str:

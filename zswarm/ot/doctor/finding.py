@@ -13,7 +13,7 @@ class Finding(NamedTuple):
     check: str
     state: State  # warning: it works, but slower, or not always; broken: runs fail
     text: str
-    mend: str = ""  # what to do
+    fix: str = ""  # what to do
 
 
 Findings = Iterator[Finding]

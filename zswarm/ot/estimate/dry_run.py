@@ -27,6 +27,7 @@ MOST_TRIALS = 512  # of the sample
 MOST_SEEDS = 8  # of the sample, where settings differ by trial; else 2
 EXAMPLE_SERVERS, EXAMPLE_SLOTS = 8, 4
 FEW = 5  # candidates
+NOTHING_EVOLVES = "nothing can evolve"
 
 # Bytes in the record: of a candidate besides its genome, of a trial besides its metrics, of a
 # participant of a trial except the first, of a generation.
@@ -255,7 +256,7 @@ def _warnings(
     trials = complete.problem.trials
     if sample.failed:
         reason = f": {sample.error}" if sample.error else ""
-        yield f"every trial that was tried failed{reason}; nothing can evolve"
+        yield f"every trial that was tried failed{reason}; {NOTHING_EVOLVES}"
     elif sample.error:
         yield f"a trial that was tried failed: {sample.error}; the candidate is ranked last"
     if complete.generations == 1:

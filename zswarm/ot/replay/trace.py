@@ -26,6 +26,7 @@ from zswarm.ot.record.selection import (
     generation_of,
     genome_of,
 )
+from zswarm.plugins.used_settings import used_settings
 from zswarm.plugins.version_hash import version_hash
 from zswarm.sims import randomized
 from zswarm.sims.simulator import Frame, Outcome, Simulator
@@ -114,6 +115,7 @@ def trace(
         why = f"a genome does not fit its network: {error}"
         raise ConfigError(f"{run.shown}: damaged: {why}") from None
     simulator = run.experiment.problem.simulator
+    settings = randomized.drawn(run.experiment.problem.settings, seed)
     network = run.experiment.representation.kind
     theirs, ours = run.meta.get("version_hash"), version_hash(simulator, network)
     note = _difference(found, recorded)
@@ -126,7 +128,7 @@ def trace(
         "candidate": candidate,
         "trial": trial,
         "simulator": simulator,
-        "settings": randomized.drawn(run.experiment.problem.settings, seed),
+        "settings": used_settings("simulator", simulator, settings),
         "network": network,
         "seed": str(seed),
         "genome": [blake2b(genome, digest_size=DIGEST).hexdigest() for genome in genomes],

@@ -8,6 +8,7 @@ from zswarm import experiment
 from zswarm.config import ranges, sections
 from zswarm.errors import UnknownPlugin
 from zswarm.plugins import registry as plugins
+from zswarm.plugins.used_settings import used_settings
 
 
 class SettingRow(NamedTuple):
@@ -19,7 +20,10 @@ class SettingRow(NamedTuple):
 
 
 def settings_rows(complete: experiment.Experiment) -> list[SettingRow]:
-    """Return every setting; those of the ranking only if it is not the default."""
+    """Return every setting that is used; those of the ranking only if it is not the default.
+
+    An unused setting of the simulator is left out, unless somebody changed it: then it says so.
+    """
     tables = experiment.to_mapping(complete)
     problem, network, optimizer, ranking = (
         tables[key] for key in ("problem", "representation", "optimizer", "ranking")
@@ -29,6 +33,7 @@ def settings_rows(complete: experiment.Experiment) -> list[SettingRow]:
     ranking_defaults |= _part_defaults("ranking", ranking["kind"])
     if ranking["kind"] == sections.ABSOLUTE:
         ranking = {}
+    used = used_settings("simulator", problem["simulator"], settings)
     rows = [SettingRow(key, str(tables[key])) for key in ("name", "seed", "generations")]
     for table, values, defaults in (
         ("problem", problem, _defaults(sections.ProblemConfig)),
@@ -41,7 +46,12 @@ def settings_rows(complete: experiment.Experiment) -> list[SettingRow]:
         for key, value in values.items():
             default = defaults.get(key, value)
             shown = _value(default) if default != value else None
-            rows.append(SettingRow(f"{table}.{key}", _value(value), shown))
+            text = _value(value)
+            if table == "problem.settings" and key not in used:
+                if shown is None:
+                    continue
+                text += " (not used)"
+            rows.append(SettingRow(f"{table}.{key}", text, shown))
     return rows
 
 

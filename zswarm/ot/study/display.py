@@ -6,12 +6,12 @@ from typing import Any
 
 from zswarm.ot.analysis.comparison import SCORES
 from zswarm.ot.display import tables
-from zswarm.ot.display.progress import flaws, generation_event, say, with_mean
+from zswarm.ot.display.progress import flaws, generation_event, say
 from zswarm.ot.logger import Generation, Logger, Started
 from zswarm.ot.study.outcome import RunEnded, StudyLogger, StudyOutcome
 from zswarm.ot.study.plan import Planned
 from zswarm.ot.study.study import Study
-from zswarm.system.format import duration, plural
+from zswarm.system.format import duration, per_trial, plural, with_trials
 from zswarm.system.terminal import console, moves
 
 REFRESHES = 4  # a second
@@ -57,7 +57,8 @@ class _LiveRunLogger(_RunLogger):
         self._display.progress.update(self._task, text=line)
 
     def on_generation(self, generation: Generation) -> None:
-        done, text = generation.generation + 1, f"best {generation.best:.5g}"
+        best = per_trial(generation.best, generation.trials, 5)
+        done, text = generation.generation + 1, f"best {best}"
         self._display.progress.update(self._task, completed=done, text=text)
         evaluations = generation.evaluations
         self._display.advance(evaluations - (self._evaluations or evaluations))
@@ -211,8 +212,8 @@ def _described(ended: RunEnded) -> str:
     work = f"{plural(result.evaluations, 'evaluation')}, {duration(result.seconds)}"
     champion, held_out = result.champion, ""
     if champion is not None and champion.mean is not None:
-        held_out = f"held-out {champion.mean:.6g}"
-    best = with_mean(result.best, result.trials)
+        held_out = f"held-out {per_trial(champion.mean, result.trials)}"
+    best = with_trials(result.best, result.trials)
     parts = (name, f"best {best}", held_out, work, ", ".join(flaws(result)))
     return "  ".join(filter(None, parts))
 
@@ -231,12 +232,12 @@ def _show(outcome: StudyOutcome) -> None:
         values = [spread.q25, spread.median, spread.q75, spread.best]
         values += [summary.held_out] if assessed else []
         numbers = (
-            "" if value is None else f"{value / summary.trials:.5g}" for value in values
+            "" if value is None else per_trial(value, summary.trials, 5)
+            for value in values
         )
         tables.row(table, label, summary.runs, *numbers, summary.evaluations)
     tables.show(table)
-    if any(summary.trials > 1 for summary in outcome.settings):
-        tables.paragraph("fitness is the mean of a candidate's trials")
+    tables.unit(summary.trials for summary in outcome.settings)
     for ended in outcome.failed:
         tables.line(f"failed  {ended.planned.name}: {ended.error}")
     runs = f"{outcome.finished} of {plural(outcome.runs, 'run')} finished"

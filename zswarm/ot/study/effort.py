@@ -88,12 +88,12 @@ def warnings(loaded: Experiment, found: Sequence[Cell]) -> Iterator[str]:
     Args:
         loaded: the study's file as it is written, without defaults.
     """
-    unused: dict[str, list[str]] = {}
+    unused: dict[tuple[str, str], list[str]] = {}
     for cell in found:
-        for text in _unused(loaded, cell):
-            unused.setdefault(text, []).append(cell.label)
-    for text, names in unused.items():
-        yield f"{text}: {'; '.join(names)}"
+        for setting in _unused(loaded, cell):
+            unused.setdefault(setting, []).append(cell.label)
+    for (text, why), names in unused.items():
+        yield f"{text} does not apply to {'; '.join(names)}: {why}"
     counts = [cell.effort.simulations for cell in found]
     if max(counts) > UNEQUAL * min(counts):
         least = min(cell.effort.evaluations for cell in found)
@@ -104,20 +104,21 @@ def warnings(loaded: Experiment, found: Sequence[Cell]) -> Iterator[str]:
         )
 
 
-def _unused(loaded: Experiment, cell: Cell) -> Iterator[str]:
-    """Yield settings of the file that do not reach a setting of the study."""
+def _unused(loaded: Experiment, cell: Cell) -> Iterator[tuple[str, str]]:
+    """Yield settings of the file that do not reach a setting of the study, and why."""
     for part in PARTS:
         written: PartConfig = getattr(loaded, part)
         used: PartConfig = getattr(cell.experiment, part)
         for key, value in written.settings.items():
             if used.settings.get(key) != value and not _changed(cell, part, key):
-                yield f"{part}.{key} = {_toml(value)} {_instead(used, key)}"
+                yield f"{part}.{key} = {_toml(value)}", _instead(used, key)
     written_problem, problem = loaded.problem, cell.experiment.problem
     for key, value in written_problem.settings.items():
         if problem.simulator != written_problem.simulator and not _changed(
             cell, "problem.settings", key
         ):
-            yield f"problem.settings.{key} = {_toml(value)} is for another simulator than that of"
+            name = f"problem.settings.{key} = {_toml(value)}"
+            yield name, f"the simulator is {problem.simulator} there"
 
 
 def _changed(cell: Cell, table: str, key: str) -> bool:
@@ -128,8 +129,8 @@ def _changed(cell: Cell, table: str, key: str) -> bool:
 
 def _instead(used: PartConfig, key: str) -> str:
     if key not in used.settings:
-        return f"is not used by {used.kind}, which has no such setting"
-    return f"is not used, but {used.kind} with {key} = {_toml(used.settings[key])}"
+        return f"{used.kind} has no such setting"
+    return f"{used.kind} has {key} = {_toml(used.settings[key])} there"
 
 
 def _toml(value: Any) -> str:

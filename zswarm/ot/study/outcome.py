@@ -39,6 +39,7 @@ class Summary(NamedTuple):
             **found,
             "held_out": self.held_out,
             "evaluations": self.evaluations,
+            "trials": self.trials,
         }
 
 

@@ -202,6 +202,21 @@ def load_study(folder: Path) -> Experiment:
     )
 
 
+def not_begun(folder: Path) -> list[str]:
+    """Return a note on how many runs of a study have no record, or nothing."""
+    if not is_study(folder):
+        return []
+    total = load_study(folder).study.runs()
+    missing = total - len(list(folder.glob(f"*/{DATABASE}")))
+    if missing <= 0:
+        return []
+    shown = clean(str(folder))
+    return [
+        f"{missing} of the {total} runs of {shown} did not begin: zswarm-ot resume {shown} evolves "
+        "them"
+    ]
+
+
 def _found(folder: Path) -> dict[str, str]:
     """Return the identities of a folder's runs by name; omit those that cannot be read."""
     found: dict[str, str] = {}

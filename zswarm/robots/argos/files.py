@@ -107,7 +107,7 @@ def _about(controller: Controller) -> str:
     run = "".join(letter for letter in controller.run if letter in PLAIN)
     _, parameters = controller.network()
     return (
-        f"Controller of zswarm: run {run}, fitness {controller.fitness:.6g}, parameters sha256 "
+        f"Controller of zswarm: run {run}, fitness {controller.in_search()}, parameters sha256 "
         f"{sha256(parameters)}"
     )
 

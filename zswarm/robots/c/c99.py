@@ -14,6 +14,7 @@ import numpy as np
 from zswarm.controller import Controller
 from zswarm.errors import UnknownPlugin
 from zswarm.plugins import registry as plugins
+from zswarm.plugins.used_settings import used_settings
 from zswarm.robots.c.c_types import FLOAT32, Array, folded, literal
 from zswarm.robots.c.kernel_function import parse, plain
 from zswarm.robots.c.quoting import Code, c_comment, c_string
@@ -115,11 +116,13 @@ def _names(controller: Controller, macro: str) -> str:
 
 def _about(controller: Controller) -> list[str]:
     """Return lines of a comment: what evolved, and what its numbers mean."""
+    network = controller.representation, controller.representation_settings
+    simulator = controller.simulator, controller.simulator_settings
     paragraphs = [
         f"A controller that evolved in zswarm: run {controller.run}, "
-        f"fitness {controller.fitness!r} in {controller.simulator}.",
-        f"Network: {controller.representation}, {_shown(controller.representation_settings)}.",
-        f"Settings of the simulator: {_shown(controller.simulator_settings)}.",
+        f"fitness {controller.in_search()} in {controller.simulator}.",
+        f"Network: {controller.representation}, {_shown('representation', *network)}.",
+        f"Settings of the simulator: {_shown('simulator', *simulator)}.",
         *(f"observation[{at}]: {text}" for at, text in enumerate(controller.sensors)),
         *(f"action[{at}]: {text}" for at, text in enumerate(controller.actuators)),
         *_meaning(controller.simulator),
@@ -128,10 +131,11 @@ def _about(controller: Controller) -> list[str]:
     return [line for text in paragraphs for line in wrap(c_comment(text))]
 
 
-def _shown(settings: dict[str, object]) -> str:
+def _shown(kind: plugins.Kind, name: str, settings: dict[str, object]) -> str:
+    """Return the settings that are used."""
     texts = (
         f"{key} = {msgspec.json.encode(value).decode()}"
-        for key, value in settings.items()
+        for key, value in used_settings(kind, name, settings).items()
     )
     return ", ".join(texts) or "none"
 

@@ -1,9 +1,7 @@
 """``zswarm-ss status`` and ``zswarm-ss drain``: find this machine's servers by their sockets."""
 
 import contextlib
-import os
 import socket
-import tempfile
 import textwrap
 import time
 from pathlib import Path
@@ -18,7 +16,7 @@ from zswarm.ss.local import control
 from zswarm.ss.local.control import LocalRequest
 from zswarm.ss.local.snapshot import View
 from zswarm.system.format import duration
-from zswarm.system.locks import is_private, private_folder
+from zswarm.system.locks import folders, visible_folders
 from zswarm.system.terminal import console
 from zswarm.system.text import clean
 
@@ -69,17 +67,9 @@ def drain(name: str, *, wait: bool) -> None:
 
 def _sockets(name: str) -> list[Path]:
     """Return the sockets of the servers that this user can reach."""
-    own = Path(tempfile.gettempdir()) / f"zswarm-{os.geteuid()}"
-    folders = {private_folder(), Path("/run/zswarm"), own}
-    if session := os.environ.get("XDG_RUNTIME_DIR", ""):
-        folders.add(Path(session) / "zswarm")
     found = []
-    # In /tmp another user can make the folder that a server of this user would have.
-    safe = [
-        folder for folder in folders if is_private(folder) or is_private(folder.parent)
-    ]
     for path in sorted(
-        path for folder in safe for path in folder.glob("*" + control.SUFFIX)
+        path for folder in visible_folders() for path in folder.glob("*" + control.SUFFIX)
     ):
         if name not in ("", path.stem, path.stem.rpartition("-")[0]):
             continue
@@ -91,7 +81,7 @@ def _sockets(name: str) -> list[Path]:
             found.append(path)
     if not found:
         named = f" named {name}" if name else ""
-        places = ", ".join(sorted(map(str, folders)))
+        places = ", ".join(sorted(map(str, folders())))
         text = f"no daemon{named} runs on this machine that this user can ask"
         raise NoDaemonError(f"{text} (looked in {places})")
     return found

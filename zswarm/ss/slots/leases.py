@@ -8,8 +8,9 @@ A lease ends, from every state, when
 - its run releases it,
 - its run reserves again with a higher epoch: the new lease replaces it and keeps its place in the
   order of leases,
-- no message of its run came for ``LEASE_S``, or
-- the liveliness token of its run vanished, and neither it nor a message came for ``GRACE_S``.
+- no message of its run came for ``state.LEASE_S``, or
+- the liveliness token of its run vanished, and neither it nor a message came for
+  ``state.GRACE_S``.
 
 Then its queries are answered with ``lease-lost``, its cached replies are dropped, and its slots
 become free: an idle one at once, a working one when it has stopped.

@@ -44,18 +44,13 @@ class Sharing(msgspec.Struct, eq=False):
     at_turn: dict[str, float] = {}
     _turn_began: float | None = None  # None: everybody has a slot
     _used_until: float = 0.0
+    # The capacity and what leases wanted, and their rights, until the next turn begins.
+    _rights: tuple[int, list[tuple[HeldLease, int]], dict[HeldLease, int]] | None = None
 
     def shares(self, leases: Collection[HeldLease], capacity: int, now: float) -> Shares:
         """Return what each lease may hold; those that failed are left out."""
-        line = sorted(
-            (lease for lease in leases if not lease.failure),
-            key=lambda lease: (
-                self._place(self.at_turn.get(lease.user, 0.0), lease.user),
-                lease.user,
-                self._place(lease.used_at_turn, f"{lease.user}/{lease.run}"),
-            ),
-        )
-        rights = _by_user(line, capacity, lambda lease: lease.wanted)
+        rights = self._shared_rights(leases, capacity)
+        line = list(rights)
         idle = {lease for lease in line if lease.idle(now, LEND_S)}
         if not idle or not any(lease.jobs.waiting or not rights[lease] for lease in line):
             return Shares(rights, rights)
@@ -75,6 +70,24 @@ class Sharing(msgspec.Struct, eq=False):
             left -= kept
         return Shares(rights, shares)
 
+    def _shared_rights(
+        self, leases: Collection[HeldLease], capacity: int
+    ) -> dict[HeldLease, int]:
+        """Return the rights in the order of the line: the last ones, if they still hold."""
+        wants = [(lease, lease.wanted) for lease in leases if not lease.failure]
+        if self._rights is None or self._rights[:2] != (capacity, wants):
+            line = sorted(
+                (lease for lease, _ in wants),
+                key=lambda lease: (
+                    self._place(self.at_turn.get(lease.user, 0.0), lease.user),
+                    lease.user,
+                    self._place(lease.used_at_turn, f"{lease.user}/{lease.run}"),
+                ),
+            )
+            rights = _by_user(line, capacity, lambda lease: lease.wanted)
+            self._rights = capacity, wants, rights
+        return self._rights[2]
+
     def _place(self, used: float, name: str) -> tuple[float, bytes]:
         tie = hashlib.blake2b(f"{self.server}\n{name}".encode(), digest_size=8).digest()
         return used, tie
@@ -91,7 +104,7 @@ class Sharing(msgspec.Struct, eq=False):
         elif self._turn_began is None:
             self._turn_began = now
         elif now - self._turn_began >= self._turn_s(leases):
-            self._turn_began = now
+            self._turn_began, self._rights = now, None
             self.at_turn = dict(self.used)
             for lease in leases:
                 lease.used_at_turn = lease.used
@@ -123,6 +136,8 @@ def _by_user(
 
 def divide(count: int, wanted: Sequence[int]) -> list[int]:
     """Give everybody the same number, as far as it is wanted; the first ones get the remainder."""
+    if sum(wanted) <= count:
+        return list(wanted)
     shares = [0] * len(wanted)
     served = [place for place, want in enumerate(wanted) if want][:count]
     while served:

@@ -184,7 +184,7 @@ class Worker:
     def missing_reason(self) -> str:
         """Return why the process is missing."""
         if self.leaving is not None:
-            return "its killed process does not go away"
+            return "its process was killed but has not exited"
         if self._process is None or self._process.pid is None:
             return "the fork server does not start its process"
         return "its process started and does not answer"

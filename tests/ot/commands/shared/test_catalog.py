@@ -1,4 +1,4 @@
-"""``zswarm-ot list`` and ``describe`` say what each part is and which settings it has."""
+"""``zswarm-ot list`` names the parts; ``describe`` says what each is and which settings it has."""
 
 import json
 import os
@@ -91,12 +91,12 @@ def test_every_bundled_part_has_a_one_line_description(
     assert "module" not in part.about
 
 
-def test_list_shows_every_part_with_its_line_and_its_settings(tmp_path: Path) -> None:
-    shown = " ".join(said("list", cwd=tmp_path).split())
-    for part in parts.installed():
-        assert f" {part.name} {part.about} settings: " in shown
-        for key in part.settings:
-            assert f" {key.name}={parts.default(key)} " in shown
+def test_list_names_every_bundled_part(tmp_path: Path) -> None:
+    shown = said("list", cwd=tmp_path)
+    flat = " ".join(shown.split())
+    for kind in parts.KINDS:
+        assert f"{kind}s {', '.join(plugins.BUNDLED[kind])} " in flat
+    assert len(shown.splitlines()) < 30, "it fits a screen"
     found = json.loads(said("list", "--json", cwd=tmp_path))
     assert {(part["kind"], part["name"]) for part in found["parts"]} >= set(BUNDLED)
     assert set(found["rankings"]) >= set(plugins.BUNDLED["ranking"])
@@ -176,15 +176,15 @@ def test_plugins_that_cannot_be_imported_are_reported_in_separate_lines(
     shown = said("list", cwd=plugged, PYTHONPATH=path)
     flat = " ".join(shown.split())
     assert (
-        "absent simulator 'absent' cannot be imported: ModuleNotFoundError: "
+        "absent (simulator) simulator 'absent' cannot be imported: ModuleNotFoundError: "
         "No module named 'swarm_nowhere'" in flat
     )
     assert (
-        r"exits simulator 'exits' cannot be imported: SystemExit: not on \x1b[31mthis machine"
-        in flat
+        r"exits (simulator) simulator 'exits' cannot be imported: SystemExit: "
+        r"not on \x1b[31mthis machine" in flat
     )
-    assert r"evil Clears \x1b[2J the screen. settings: length=3" in flat
-    assert " xor A network says" in flat
+    assert r"evil (simulator) Clears \x1b[2J the screen. settings: length=3" in flat
+    assert "turtlebot-exit-ros, vmas, xor" in flat
     assert all(line.isprintable() for line in shown.splitlines())
     described = said("describe", "evil", cwd=plugged, PYTHONPATH=path)
     assert "Metrics: [bold]none[/bold], at all." in described

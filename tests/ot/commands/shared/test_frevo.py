@@ -519,7 +519,7 @@ def test_import_prints_what_it_created(tmp_path: Path) -> None:
     said = CliRunner().invoke(import_command, [str(path), "--out", out])
     assert said.stdout.splitlines() == [
         "best\\x1b[2J.zre: generation 4 of FREVO's nnga.NNGA",
-        "10 candidates, best fitness -27.6619 according to FREVO",
+        "10 candidates, best fitness -13.831 (mean of 2 trials) according to FREVO",
         "the best was played here: the same fitness",
         f"run     {out}/default",
     ]

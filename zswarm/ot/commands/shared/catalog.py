@@ -39,13 +39,16 @@ class CatalogEntry(NamedTuple):
 
 def installed() -> list[CatalogEntry]:
     """Return all parts, kind by kind, sorted by name; programs are not started."""
+    return [_described(kind, name) for kind in KINDS for name in registry.names(kind)]
+
+
+def plugged() -> list[CatalogEntry]:
+    """Return the parts that are not bundled, as `installed` does; no bundled one is imported."""
     return [
-        _from_manifest(kind, name, programs[name])
-        if name in programs
-        else entry(kind, name)
+        _described(kind, name)
         for kind in KINDS
-        for programs in [registry.foreign(kind)]
         for name in registry.names(kind)
+        if name not in registry.BUNDLED[kind]
     ]
 
 
@@ -86,6 +89,11 @@ def entry(kind: registry.Kind, name: str) -> CatalogEntry:
     except (Exception, SystemExit) as error:
         text = " ".join(f"{error}".split()) or type(error).__name__
         return CatalogEntry(kind, clean(name), error=clean(text))
+
+
+def _described(kind: registry.Kind, name: str) -> CatalogEntry:
+    manifest = registry.foreign(kind).get(name)
+    return _from_manifest(kind, name, manifest) if manifest else entry(kind, name)
 
 
 def _from_manifest(kind: registry.Kind, name: str, path: Path) -> CatalogEntry:

@@ -141,14 +141,8 @@ candidate_option = number_option(
     "--candidate", help="Candidate of the generation, from 0.  [default: the best]"
 )
 MULTICAST = "Find servers by multicast.  [default: multicast]"
-# Those that change an experiment's ``[cluster]``.
-cluster_options = together(
-    click.option(
-        "--servers",
-        metavar="auto|local|N",
-        help="auto: this machine's slots and all servers found; local: this machine only; N: wait "
-        "for N servers.",
-    ),
+# Those that change an experiment's ``[cluster]``: where its servers are, and all of them.
+network_options = together(
     click.option("--realm", help="Use the servers of this realm."),
     click.option(
         "--connect",
@@ -162,6 +156,15 @@ cluster_options = together(
         default=None,
         help="Reach all servers through a router, given by --connect or found by multicast.",
     ),
+)
+cluster_options = together(
+    click.option(
+        "--servers",
+        metavar="auto|local|N",
+        help="auto: this machine's slots and all servers found; local: this machine only; N: wait "
+        "for N servers.",
+    ),
+    network_options,
     click.option(
         "--require",
         multiple=True,

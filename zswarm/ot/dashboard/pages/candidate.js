@@ -2,7 +2,7 @@
 import { follow } from './live.js';
 import { drawNetwork } from './network.js';
 import { address, api, ask, button, card, copyButton, fill, h, n, note, number, query, request, row,
-  run, save, section, setText, table, two } from './page.js';
+  run, save, section, setText, table, two, unitOf } from './page.js';
 
 const HEX = 8000; // digits of a genome that are shown
 
@@ -63,7 +63,8 @@ class CandidatePage {
       const place = all.findIndex((one) => one.candidate === of.candidate) + 1;
       const genes = of.genes ? `, ${number(of.genes)} genes` : '';
       const name = `candidate ${of.candidate} of generation ${generation + 1}`;
-      const rank = `fitness ${number(of.fitness)}, number ${place} of ${all.length}`;
+      const unit = unitOf(of.fitness_trials), mean = all[place - 1].fitness;
+      const rank = `fitness ${number(mean)}${unit && ` (${unit})`}, number ${place} of ${all.length}`;
       setText(this.facts, `${name}: ${rank}; ${of.genome.length / 2} bytes${genes}`);
       this.showNetwork(of);
       this.showGenome(of);

@@ -15,12 +15,13 @@ export async function showImportance(element, runs) {
   const rows = found.effects.slice(0, MOST).map(({ settings, eta2, epsilon2 }) => [
     settings.join(' × '), bar(eta2), [percent(eta2), 'n'], [epsilon2 === null ? '–' : percent(epsilon2), 'n']]);
   if (found.rest >= 0.001) rows.push(['interactions of three and more', bar(found.rest), [percent(found.rest), 'n'], '']);
-  rows.push(['differences between repeats', bar(found.noise), [percent(found.noise), 'n'], '']);
+  const repeated = found.noise !== null;
+  if (repeated) rows.push(['differences between repeats', bar(found.noise), [percent(found.noise), 'n'], '']);
   element.replaceChildren(
     table(['setting', '', ['share', 'n'], ['beyond chance', 'n']], rows),
     row(h('p', { class: 'dim small', text: `Share of the variance of best fitness in search between ${
       found.runs} runs (eta squared), and without what chance explains (epsilon squared). `
-      + 'a × b: how far the effect of a depends on b.' })));
+      + `a × b: how far the effect of a depends on b.${repeated ? '' : ' Without repeats, chance has a part in each share.'}` })));
 }
 
 function bar(share) {

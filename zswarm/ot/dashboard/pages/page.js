@@ -171,6 +171,11 @@ export function number(value, digits = 5) {
   return size >= 1e7 || (size > 0 && size < 1e-4) ? rounded.toExponential(2) : String(rounded);
 }
 
+// Return what the fitness of a run is where candidates have several trials.
+export function unitOf(trials) {
+  return trials > 1 ? `mean of ${number(trials)} trials` : '';
+}
+
 export function duration(seconds) {
   if (!Number.isFinite(seconds)) return '–';
   const s = Math.max(0, seconds);
@@ -275,8 +280,8 @@ export function save(blob, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
-export function download(label, path, name) {
-  return button(label, async () => save(await (await request(path)).blob(), name));
+export function download(label, path, name, title) {
+  return button(label, async () => save(await (await request(path)).blob(), name), { title });
 }
 
 // ---- what stands above every page

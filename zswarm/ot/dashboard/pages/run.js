@@ -4,7 +4,7 @@ import { Chart, nearest } from './chart.js';
 import { follow } from './live.js';
 import { TAKES_TOKEN, address, ago, api, ask, badge, between, button, card, choice, clock, copyButton, download,
   duration, fill, h, n, note, number, request, row, rowHead, run, section, setText, showError, table,
-  throttled, token, two, unlessGone } from './page.js';
+  throttled, token, two, unitOf, unlessGone } from './page.js';
 
 const MOST = 4000; // points of a curve, from which on it is read again in fewer
 const SLOW_MS = 4000; // between requests that read all candidates
@@ -12,6 +12,7 @@ const EVENTS = 300; // with which a page begins
 const MOST_EVENTS = 5000;
 const SHOWN_EVENTS = 2000;
 const CHAMPIONS = 100;
+const AS_RECORDED = 'as in the record: fitness is the sum of a candidate\'s trials';
 const LEVELS = { info: '·', warning: '▲', error: '✕' };
 const CHARTS = { diversity_: 'Diversity', effectivity_: 'Effectivity of operators',
   '': 'Other numbers of the optimizer' };
@@ -83,10 +84,11 @@ class RunPage {
         this.axis = value;
         this.draw();
       }),
-      download('CSV', api('history.csv'), `${run}.csv`),
-      download('JSON', api('history.json'), `${run}.json`),
+      download('CSV', api('history.csv'), `${run}.csv`, AS_RECORDED),
+      download('JSON', api('history.json'), `${run}.json`, AS_RECORDED),
       button('PNG', () => this.fitness.png(`${run}.png`)));
-    return section(between(h('h2', { text: 'Fitness' }), tools), this.fitness.element, this.picked);
+    this.unit = h('span', { class: 'dim small' });
+    return section(between(row(h('h2', { text: 'Fitness' }), this.unit), tools), this.fitness.element, this.picked);
   }
 
   buildEvents() {
@@ -154,6 +156,7 @@ class RunPage {
     fill(this.status, badge(state.status));
     if (state.error) fill(this.notes, note(state.error));
     if (!('generation' in state)) return;
+    setText(this.unit, unitOf(state.fitness_trials));
     const counted = Math.min(state.counted, state.trials);
     this.progress.max = state.generations || 1;
     this.progress.value = done + (state.trials ? counted / state.trials : 0);

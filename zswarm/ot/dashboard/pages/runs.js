@@ -54,7 +54,9 @@ class RunsPage {
     this.explained = h('div');
     this.importance = h('details', { hidden: true, ontoggle: () => this.explain() },
       h('summary', { text: 'importance of settings' }), this.explained);
-    fill(view, h('h1', { text: 'Runs' }), this.buildCurves(), card('All runs',
+    this.unit = h('p', { class: 'dim small', hidden: true,
+      text: 'fitness is the mean of a candidate\'s trials' });
+    fill(view, h('h1', { text: 'Runs' }), this.unit, this.buildCurves(), card('All runs',
       between(row(this.table.filter, button('tick shown', () => this.tick(this.table.found)),
         button('none', () => this.choose([], false))), this.table.count),
       this.studies, this.table.element));
@@ -250,6 +252,7 @@ class RunsPage {
     for (const id of message.gone ?? []) this.runs.delete(id);
     const rows = [...this.runs.values()];
     this.table.show(rows);
+    this.unit.hidden = !rows.some((row) => row.fitness_trials > 1);
     this.showStudies(rows);
     if (!sessionStorage.getItem(CHOSEN) && rows.length) {
       const last = rows.filter((row) => row.generation).sort((a, b) => (b.at ?? 0) - (a.at ?? 0));
