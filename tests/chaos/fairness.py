@@ -1,5 +1,6 @@
 """Check who has the slots of a server, by rules of its own: equal shares, lent slots, turns."""
 
+import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -84,7 +85,8 @@ class Fairness:
         return ""
 
 
-def bounds(count: int, wants: Sequence[int]) -> list[tuple[int, int]]:
+@functools.lru_cache(maxsize=10_000)  # the same few again and again
+def bounds(count: int, wants: tuple[int, ...]) -> list[tuple[int, int]]:
     """Return the least and the most that each may get of equal shares, as far as they are wanted.
 
     The two differ by one where somebody gets what cannot be divided.
@@ -100,12 +102,12 @@ def _compare(leases: Sequence[HeldLease], capacity: int) -> tuple[int, list[Surp
     """Return how many slots those are short of that have work, and who has too many."""
     users = sorted({lease.user for lease in leases})
     own = [[lease for lease in leases if lease.user == user] for user in users]
-    parts = bounds(capacity, [sum(one.wanted for one in runs) for runs in own])
+    parts = bounds(capacity, tuple(sum(one.wanted for one in runs) for runs in own))
     missing, found = 0, []
     for user, runs, (least, most) in zip(users, own, parts, strict=True):
         held = [len(one.slots) for one in runs]
         works = [bool(one.jobs.waiting) or one.idle_since is None for one in runs]
-        wants = [one.wanted for one in runs]
+        wants = tuple(one.wanted for one in runs)
         lows = [low for low, _ in bounds(least, wants)]
         highs = [high for _, high in bounds(most, wants)]
         short = sum(

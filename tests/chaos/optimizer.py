@@ -168,8 +168,8 @@ class Optimizer(Node[events.Event]):
             world.fail(f"{self.name} awaits an answer for longer than it may take")
         if (held := self._slots_held()) > self.max_slots:
             world.fail(f"{self.name} holds or asks for {held} slots of {self.max_slots}")
-        leased = self.dispatch.servers.roster.leased.values()
-        if self.paused and any(server.slots for server in leased):
+        roster = self.dispatch.servers.roster
+        if self.paused and (roster.preparing or roster.ready):
             world.fail(f"{self.name} holds slots while it pauses")
         for command in commands:
             match command:

@@ -303,7 +303,10 @@ def plain(value: object) -> object:
     ("headings", "struct"),
     [
         (("## `[problem]`",), sections.ProblemConfig),
+        (("## `[assessment]`",), sections.AssessmentConfig),
         (("## `[cluster]`",), sections.ClusterConfig),
+        (("## `[record]`",), sections.RecordConfig),
+        (("## `[stop]`",), sections.StopConfig),
         (("## `[study]`",), sections.StudyConfig),
         *(
             ((f"## Settings of the {kind}s", f"### {name}"), settings(kind, name))
@@ -326,7 +329,10 @@ def test_every_key_of_an_experiment_is_documented(
     "struct",
     [
         sections.ProblemConfig,
+        sections.AssessmentConfig,
         sections.ClusterConfig,
+        sections.RecordConfig,
+        sections.StopConfig,
         sections.StudyConfig,
         *(settings(kind, name) for kind, name in PARTS),
     ],

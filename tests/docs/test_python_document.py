@@ -20,7 +20,7 @@ def test_the_code_of_the_document_runs(
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, Any] = {}
     blocks = re.findall(r"^```python\n(.*?)^```", TEXT, re.S | re.M)
-    assert len(blocks) == 9
+    assert len(blocks) == 10
     for number, block in enumerate(blocks):
         exec(compile(block, f"block {number + 1}", "exec"), namespace)  # noqa: S102  our own text
     printed = capsys.readouterr().out

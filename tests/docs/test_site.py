@@ -146,10 +146,10 @@ def test_commands_within_sentences_exist(document: str, said: str) -> None:
     """Their options exist, too; words in capitals are placeholders."""
     program, *words = said.replace(" ...", "").split()
     command = reference.PROGRAMS[program]
-    if isinstance(command, click.Group) and words and not words[0].startswith("-"):
+    while isinstance(command, click.Group) and words and not words[0].startswith("-"):
         found = command.get_command(click.Context(command), words[0])
         assert found is not None, f"{document}: {said}"
-        command = found
+        command, words = found, words[1:]
     known = {
         spelling
         for option in command.params

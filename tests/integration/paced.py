@@ -3,8 +3,8 @@
 Its environment, none of which changes an outcome:
 ``PACED_FOLDER``: where a server's slots look and write. In it ``pace`` holds how long a trial
 takes, busy or asleep; ``gate`` makes the first trial that sees it wait until it is gone again (it
-is renamed to ``held-<pid>``); ``played`` gets a line per trial, its slot's process, seed and
-action, and ``probe`` one per trial of the probe.
+is renamed to ``held-<pid>``); ``in-<pid>`` is there during a trial; ``played`` gets a line per
+trial, its slot's process, seed and action, and ``probe`` one per trial of the probe.
 """
 
 import contextlib
@@ -62,12 +62,15 @@ class Paced(Simulator):
     def step(self, actions):
         self.action = float(actions[0, 0])
         if FOLDER is not None:
+            begun = FOLDER / f"in-{os.getpid()}"
             if self.seed < PROBE:
+                begun.touch()
                 self.note(f"{os.getpid()} {self.seed} {self.action.hex()}\\n")
                 self.pass_gate()
             else:
                 self.note(f"{os.getpid()} {self.seed} {self.action.hex()}\\n", "probe")
             self.pace()
+            begun.unlink(missing_ok=True)
         return None
 
     def outcome(self):
@@ -158,6 +161,10 @@ class Pace:
         """Release the held trial."""
         for path in self.folder.glob("held-*"):
             path.unlink()
+
+    def in_trial(self, process: int) -> bool:
+        """Return whether a slot's process began a trial and did not end it."""
+        return (self.folder / f"in-{process}").exists()
 
     def played(self, where: str = "played") -> list[Played]:
         """Return all trials begun, in order."""

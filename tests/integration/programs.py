@@ -28,14 +28,17 @@ def free_port() -> int:
 
 
 def wait_until(
-    condition: Callable[[], Any], what: str, deadline_s: float = DEADLINE_S
+    condition: Callable[[], Any],
+    what: str,
+    deadline_s: float = DEADLINE_S,
+    every_s: float = 0.01,
 ) -> Any:
     """Return the condition's first true value, polled often."""
     end = time.monotonic() + deadline_s
     while time.monotonic() < end:
         if value := condition():
             return value
-        time.sleep(0.01)
+        time.sleep(every_s)
     raise AssertionError(f"not within {deadline_s:g} s: {what}")
 
 

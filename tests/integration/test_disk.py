@@ -165,7 +165,7 @@ def test_a_run_waits_for_disk_space_and_continues(
             ballast.unlink()
             wait_until_said(
                 optimizer,
-                "the disk of disk/on-disk takes data again: the run continues",
+                "the disk of disk/on-disk can be written again: the run continues",
                 episode,
             )
             wait_until(lambda stuck=stuck: counted(at) > stuck, "what waited is recorded")
@@ -304,10 +304,10 @@ def test_a_run_survives_writes_that_fail(tmp_path: Path, undisturbed: Path) -> N
     resource.prlimit(optimizer.process.pid, resource.RLIMIT_FSIZE, (small, most))
     wait_until_said(
         optimizer,
-        "the disk of runs/on-disk does not take what is written: trying again; nothing is lost",
+        "the disk of runs/on-disk cannot be written: trying again; nothing is lost",
     )
     resource.prlimit(optimizer.process.pid, resource.RLIMIT_FSIZE, (most, most))
-    wait_until_said(optimizer, "takes data again: the run continues")
+    wait_until_said(optimizer, "can be written again: the run continues")
     assert optimizer.done()["history_hash"] == check_run(undisturbed).history_hash
     check_run(at)
 

@@ -87,7 +87,7 @@ def test_a_folder_that_cannot_be_written_is_broken() -> None:
     assert finding.text.startswith(
         "/proc/none/runs (to be made in /proc) cannot be written: "
     )
-    assert "--out DIR" in finding.mend
+    assert "--out DIR" in finding.fix
 
 
 def test_the_check_of_the_folder_of_runs_leaves_no_files(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_a_cache_that_cannot_be_written_is_a_warning(
     made = Path(tempfile.mkdtemp(prefix="zswarm-"))
     monkeypatch.setattr(cache, "cache_folder", lambda: made)
     finding = only(machine.cache())
-    assert (finding.state, finding.mend) == (
+    assert (finding.state, finding.fix) == (
         "warning",
         "set ZSWARM_CACHE to a folder of your own",
     )
@@ -145,14 +145,14 @@ def test_few_open_files_and_a_small_disk_are_reported(tmp_path: Path) -> None:
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (512, 512)),
     )
     found = [json.loads(line) for line in done.stdout.splitlines()]
-    assert all(list(line) == ["check", "state", "text", "mend"] for line in found)
+    assert all(list(line) == ["check", "state", "text", "fix"] for line in found)
     by_check = {line["check"]: line for line in found}
     assert (by_check["limits"]["state"], by_check["runs"]["state"]) == (
         "warning",
         "broken",
     )
     assert "only " in by_check["runs"]["text"]
-    assert all(line["mend"] for line in found if line["state"] != "ok")
+    assert all(line["fix"] for line in found if line["state"] != "ok")
     assert done.returncode == 1, done.stderr
 
 

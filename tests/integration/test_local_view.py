@@ -19,6 +19,7 @@ from click.testing import CliRunner, Result
 from tests.integration.paced import Pace, Scene, Size
 from tests.integration.programs import Program, Server, free_port, wait_until
 from zswarm.ss.cli import command
+from zswarm.system import starting
 
 pytestmark = pytest.mark.programs
 
@@ -104,6 +105,19 @@ def metrics(port: int) -> dict[str, float]:
     }
 
 
+# ---- its start
+
+
+def test_a_server_is_marked_as_starting_until_it_can_be_reached(tmp_path: Path) -> None:
+    def marked() -> bool:
+        return any(map(starting.is_locked, tmp_path.glob("*" + starting.SUFFIX)))
+
+    with contextlib.closing(Server(tmp_path, "ss", capacity=1)) as server:
+        wait_until(marked, "the server is starting")
+        server.ready()
+        assert not list(tmp_path.glob("*" + starting.SUFFIX))
+
+
 # ---- systemd
 
 
@@ -134,7 +148,7 @@ def test_the_watchdog_is_fed_unless_a_slot_is_unresponsive(
     pace.let_go()
     (missed,) = wait_until(lambda: server.events("slots_missed"), "the slot is missed")
     assert missed["reason"] in (
-        "its killed process does not go away",
+        "its process was killed but has not exited",
         "the fork server does not start its process",
     )
     assert (len(missed["slots"]), missed["seconds"], missed["watchdog"]) == (
@@ -154,7 +168,7 @@ def test_the_watchdog_is_fed_unless_a_slot_is_unresponsive(
     ]
     assert shown["slots"]["starting"] == 1
     assert (
-        f"slot {missed['slots'][0]}: its killed process does not go away"
+        f"slot {missed['slots'][0]}: its process was killed but has not exited"
         in control(scene.folder, "status").stdout
     )
     scene.go_on(forking)

@@ -65,7 +65,7 @@ def test_a_server_whose_disk_is_full_when_it_prepares_is_used_when_it_has_room(
     optimizer = Optimizer(
         tmp_path, "ot", ["run", "hoarder.toml", "--json", *reach], PYTHONPATH=path
     )
-    words = "cannot get ready now: simulator 'hoarder' cannot be set up: OSError: "
+    words = "cannot prepare the problem: simulator 'hoarder' cannot be set up: OSError: "
     try:
         wait_until(lambda: words in optimizer.err.read_text(), "it is reported")
         full.unlink()
