@@ -15,6 +15,10 @@ from zswarm.sims.exit_rules import INPUTS, OUTPUTS, Room, judge, rounded
 from zswarm.sims.simulator import KernelBatch
 
 ZERO = np.float32(0)
+# Where an observation has the cells around.
+NORTH, NORTH_EAST, EAST, SOUTH_EAST, SOUTH, SOUTH_WEST, WEST, NORTH_WEST = range(
+    2 * LANES, INPUTS * LANES, LANES
+)
 LEFT, STILL, RIGHT = np.int32(-1), np.int32(0), np.int32(1)
 
 
@@ -59,7 +63,7 @@ def start(lanes, first, rows, fields, batch):
 
 @inline(counts=False)
 def observe(here, exits, grid, stride, observation):
-    """Write what the agents observe; return the nine cells around and below them, row by row."""
+    """Write what agents observe: the way to the exit, and the cells around from the north on."""
     north = window(grid, here, -stride - 1)
     middle = window(grid, here, -1)
     south = window(grid, here, stride - 1)
@@ -77,18 +81,31 @@ def observe(here, exits, grid, stride, observation):
     store(observation, LANES, exits[1])
     for sensor, numbers in enumerate(around):
         store(observation, (2 + sensor) * LANES, numbers)
-    return north, middle, south
 
 
 @inline(counts=False)
-def ahead(action, around):
-    """Return the agents' directions, and whether the cells there are free."""
+def ahead(action, observation):
+    """Return the agents' directions, and whether the cells there are free.
+
+    The cells are read from the observation: no register need keep them while the agents decide.
+    """
     west, east = rounded(load(action, 0))
     up, down = rounded(load(action, LANES))
-    north, middle, south = around
-    left = select(up, north[0], select(down, south[0], middle[0]))
-    same = select(up, north[1], select(down, south[1], BLOCKED))
-    right = select(up, north[2], select(down, south[2], middle[2]))
+    left = select(
+        up,
+        load(observation, NORTH_WEST),
+        select(down, load(observation, SOUTH_WEST), load(observation, WEST)),
+    )
+    same = select(
+        up,
+        load(observation, NORTH),
+        select(down, load(observation, SOUTH), BLOCKED),
+    )
+    right = select(
+        up,
+        load(observation, NORTH_EAST),
+        select(down, load(observation, SOUTH_EAST), load(observation, EAST)),
+    )
     x = select(east, RIGHT, select(west, LEFT, STILL))
     y = select(down, RIGHT, select(up, LEFT, STILL))
     return x, y, select(east, right, select(west, left, same)) != BLOCKED
@@ -111,9 +128,9 @@ def play_rounds(step, states, lanes, stride, steps):
             is_inside = (exits[0] != ZERO) | (exits[1] != ZERO)
             if any_of(is_inside):
                 here = load(lanes.cells, agent * LANES)
-                around = observe(here, exits, lanes.grid, stride, lanes.observation)
+                observe(here, exits, lanes.grid, stride, lanes.observation)
                 step(lanes.controllers, states[agent], lanes.observation, lanes.action)
-                x, y, is_free = ahead(lanes.action, around)
+                x, y, is_free = ahead(lanes.action, lanes.observation)
                 there = select(is_inside & is_free, here + y * np.int32(stride) + x, here)
                 there_x, there_y, _, _ = window(lanes.exits, there + there + offset, 0)
                 stays = (there_x != ZERO) | (there_y != ZERO)
