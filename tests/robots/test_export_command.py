@@ -62,7 +62,8 @@ def refused(*arguments: str | Path) -> str:
 def test_the_champion_is_written_and_the_next_command_works(run: Path) -> None:
     done = typed(run, "--to", "python")
     assert done.exit_code == 0
-    file, of, parameters, on = done.output.splitlines()
+    lines = done.output.replace("\n" + " " * 12, " ")  # what was wrapped
+    file, of, parameters, on = lines.splitlines()
     name = f"zs_{run.name}"
     assert file == f"{run.name}-python/{name}.py"
     assert (

@@ -260,7 +260,7 @@ def _words(robot: Robot) -> Words:
         "twist": "TwistStamped" if velocity.stamped else "Twist",
         "fill": Code("c", frame + FILL.format(twist=message)),
         "distribution": profile.distribution,
-        "fitness": controller.in_search(),
+        "fitness": Code("markdown", controller.in_search()),
         "description": xml_text(f"A robot's controller, {about}"),
     }
 

@@ -34,16 +34,15 @@ def test_problems_that_do_not_depend_on_the_seed_are_reported(tmp_path: Path) ->
     folder = written(tmp_path, [1])
     told = evaluate(folder, "--trials", "3")
     assert ALIKE in told
-    assert "3 trials" in told
+    assert "3 trials" in " ".join(told.split())
     assert "unseen" not in told
     assert ALIKE not in evaluate(folder, "--trials", "1")
     random = msgspec.structs.replace(
         load_controller(folder), simulator_settings={"field": "random"}
     )
     (tmp_path / "random.zsc").write_bytes(msgspec.msgpack.encode(random))
-    assert "20 held-out trials" in (
-        told := evaluate(tmp_path / "random.zsc", "--trials", "20")
-    )
+    told = evaluate(tmp_path / "random.zsc", "--trials", "20")
+    assert "20 held-out trials" in " ".join(told.split())
     assert ALIKE not in told
 
 

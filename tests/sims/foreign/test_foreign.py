@@ -330,6 +330,7 @@ def test_the_version_hash_covers_manifest_files_and_protocol_code(
 ) -> None:
     install("fine")
     assert {path.name for path in plugins.source_files("simulator", "fine")} == {
+        "__init__.py",
         "fine.toml",
         "rough_program.py",
         "messages.py",

@@ -530,6 +530,7 @@ def test_import_prints_what_it_created(tmp_path: Path) -> None:
         "generation": 4,
         "candidates": 10,
         "best": FITNESS[0],
+        "trials": 2,
         "played": FITNESS[0],
     }
 
