@@ -1,7 +1,6 @@
 """Draw docs/pictures/stadium.svg: the first and the last champion of ``stadium``, moving.
 
-To make it anew: zswarm-ot run stadium --out pictures && python docs/pictures/draw.py
-pictures/stadium
+To draw it again: zswarm-ot run stadium && python docs/pictures/draw.py runs/stadium
 """
 
 import sqlite3
@@ -32,7 +31,7 @@ def main() -> None:
         out = sum(body.kind == "robot outside" for body in frames[-1].bodies)
         panels.append(
             film.Panel(
-                f"generation {generation}: {out} of {len(frames[-1].bodies)} robots leave",
+                f"generation {generation + 1}: {out} of {len(frames[-1].bodies)} robots leave",
                 frames,
             )
         )
