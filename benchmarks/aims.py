@@ -67,18 +67,23 @@ def aims(results: Results) -> Iterator[Aim]:
     yield from of_startup(results.get("startup"))
     yield from of_kernels(results.get("kernels"))
     yield from of_runs(results.get("runs"))
+    yield from of_populations(results.get("populations"))
+    yield from of_scaling(results.get("scaling"))
     yield from of_noise(results.get("noise"))
 
 
 def of_dispatch(found: Found | None) -> Iterator[Aim]:
     """Yield the overhead compared with other tools, and the efficiency."""
 
-    def value(peer: str, work: str, slots: int) -> float | None:
-        row = tables.main_way(found, peer, work, slots, 400) if found else None
+    def value(peer: str, work: str, slots: int, of: int = 400) -> float | None:
+        row = tables.main_way(found, peer, work, slots, of) if found else None
         return row and row.get("us", row.get("efficiency"))
 
     ours = value("zswarm", "noop", 4)
-    yield Aim("noop", "no-op, 400 candidates, 4 slots: us per candidate", 20, False, ours)
+    yield Aim("noop", "no-op, 400 candidates, 4 slots: us per candidate", 5, False, ours)
+    small = value("zswarm", "noop", 2, 50)
+    what = "no-op, 50 candidates, 2 slots: us per candidate"
+    yield Aim("noop-50", what, 15, False, small)
     for peer, wanted in (
         ("Ray", 25),
         ("Dask distributed", 40),
@@ -88,16 +93,17 @@ def of_dispatch(found: Found | None) -> Iterator[Aim]:
         theirs = value(peer, "noop", 4)
         yield Aim(
             f"noop-{peer}",
-            f"the same, times faster than {peer}",
+            f"400 candidates, 4 slots: times faster than {peer}",
             wanted,
             True,
             theirs / ours if theirs and ours else None,
         )
+    loop = value("no dispatch", "sleep", 1)
     for slots, wanted in ((2, 0.95), (4, 0.95), (8, 0.95), (16, 0.92)):
-        what = f"efficiency, sleep 5 ms, 400 candidates, {slots} slots"
-        yield Aim(
-            f"sleep-{slots}", what, wanted, True, value("zswarm", "sleep", slots), share
-        )
+        used = value("zswarm", "sleep", slots)
+        what = f"sleep 5 ms, 400 candidates, {slots} slots: efficiency / that of a loop"
+        relative = used / loop if used and loop else None
+        yield Aim(f"sleep-{slots}", what, wanted, True, relative, share)
     cores = found["machine"]["cores"] if found else 2
     what = "efficiency, 5 ms of a core, 400 candidates, a slot per core"
     yield Aim("cpu", what, 0.95, True, value("zswarm", "cpu", cores), share)
@@ -106,28 +112,24 @@ def of_dispatch(found: Found | None) -> Iterator[Aim]:
 def of_scale(found: Found | None) -> Iterator[Aim]:
     """Yield the targets with many simulated servers."""
     rows = found["rows"] if found else []
-    used = [
-        row["efficiency"]
-        for row in rows
-        if (row.get("slots"), row.get("trial_s")) == (4096, 1.0)
-    ]
-    ready = [
-        row["ready_s"] for row in rows if row.get("servers") == 256 and "ready_s" in row
-    ]
-    yield Aim(
-        "scale",
-        "efficiency, 4,096 simulated slots, trials of 1 s",
-        0.9,
-        True,
-        next(iter(used), None),
-        share,
-    )
-    what = "discovery and handshake, 256 servers: s"
-    yield Aim("discovery", what, 1.0, False, next(iter(ready), None), "{:.2f}".format)
+    slots = {
+        row["slots"]: row for row in rows if "slots" in row and row.get("trial_s") == 1.0
+    }
+    servers = {row["servers"]: row for row in rows if "ready_s" in row}
+    used = slots.get(4096, {}).get("efficiency")
+    what = "efficiency, 4,096 simulated slots, trials of 1 s"
+    yield Aim("scale", what, 0.9, True, used, share)
+    most = max((row["optimizer_us"] for row in slots.values()), default=None)
+    what = "64 to 4,096 slots, trials of 1 s: us of the optimizer per evaluation"
+    yield Aim("scale-cpu", what, 120, False, most)
+    for count, wanted in ((256, 1.0), (1024, 2.0)):
+        ready = servers.get(count, {}).get("ready_s")
+        what = f"discovery and handshake, {count:,} servers: s"
+        yield Aim(f"discovery-{count}", what, wanted, False, ready, "{:.2f}".format)
     sent = [max(row["messages"].values()) for row in rows if row.get("servers") == 256]
     yield Aim(
         "messages",
-        "the same: messages in each direction per server, without renewals",
+        "256 servers: messages in each direction per server, without renewals",
         2,
         False,
         next(iter(sent), None),
@@ -137,20 +139,22 @@ def of_scale(found: Found | None) -> Iterator[Aim]:
 def of_startup(found: Found | None) -> Iterator[Aim]:
     """Yield the time to the first result, and the memory of a slot."""
     rows = found["rows"] if found else []
-    warm = [
-        row["s"]
-        for row in rows
-        if (row["of"], row.get("how")) == ("zswarm-ot run", "warm")
-    ]
+    times = {(row["of"], row.get("how")): row.get("s") for row in rows}
     slot = [
         tables.mib(row["own_mb"])
         for row in rows
         if (row["what"], row["of"]) == ("memory", "slot")
     ]
-    what = (
-        "first result, this machine's slots, warm cache: s from the start of the program"
-    )
-    yield Aim("first", what, 1.0, False, next(iter(warm), None), "{:.2f}".format)
+    for key, of, what, wanted in (
+        ("first", ("zswarm-ot run", "warm"), "first result, warm cache", 0.7),
+        ("cold", ("zswarm-ot run", "cold"), "first result, empty cache", 5.0),
+        ("one", ("a run of one generation", None), "a run of one generation", 1.5),
+        ("version", ("--version", None), "`zswarm-ot --version`", 0.12),
+        ("help", ("--help", None), "`zswarm-ot --help`", 0.12),
+        ("completion", ("completion of a word", None), "completion of a word", 0.12),
+        ("list", ("list of 200 runs", None), "`zswarm-ot list` of 200 runs", 0.3),
+    ):
+        yield Aim(key, f"{what}: s", wanted, False, times.get(of), "{:.2f}".format)
     yield Aim(
         "memory", "private memory of a slot: MiB", 40, False, next(iter(slot), None)
     )
@@ -185,19 +189,39 @@ def of_kernels(found: Found | None) -> Iterator[Aim]:
 
 def of_runs(found: Found | None) -> Iterator[Aim]:
     """Yield the speed of whole runs compared with FREVO."""
-    per_s = {row["field"]: row["per_s"] for row in found["rows"]} if found else {}
-    for field, times in (("stadium", 20), ("random", 10)):
+    by_field = {row["field"]: row for row in found["rows"]} if found else {}
+    for field, times, whole in (("stadium", 20, 8), ("random", 10, 6)):
+        row = by_field.get(field, {})
         theirs = f"{FREVO[field]:,.0f} simulations/s"
         what = (
             f"EmergencyExit, NNGA 50 x 200, {field}: speed relative to FREVO's {theirs}"
         )
-        yield Aim(
-            f"run-{field}",
-            what,
-            times,
-            True,
-            per_s[field] / FREVO[field] if field in per_s else None,
-        )
+        for key, measured, wanted, how in (
+            ("run", "per_s", times, ""),
+            ("run-whole", "whole_per_s", whole, ", with the start of the slots"),
+        ):
+            value = row[measured] / FREVO[field] if row else None
+            yield Aim(f"{key}-{field}", what + how, wanted, True, value)
+
+
+def of_populations(found: Found | None) -> Iterator[Aim]:
+    """Yield the optimizer's time and memory in large populations."""
+    rows = {row["population"]: row for row in found["rows"]} if found else {}
+    for population, wanted in ((8_000, 0.1), (100_000, 2.0)):
+        value = rows.get(population, {}).get("generation_s")
+        what = f"NNGA, population {population:,}: s per generation besides the trials"
+        yield Aim(f"nnga-{population}", what, wanted, False, value, "{:.3f}".format)
+    what = "NNGA, population 100,000: memory of the optimizer, MB"
+    value = rows.get(100_000, {}).get("mb")
+    yield Aim("nnga-memory", what, 1_000, False, value)
+
+
+def of_scaling(found: Found | None) -> Iterator[Aim]:
+    """Yield how well short evaluations use many servers, the start included."""
+    rows = {(row["work"], row["servers"]): row for row in found["rows"]} if found else {}
+    value = rows.get(("sleep", 16), {}).get("efficiency")
+    what = "efficiency, 16 servers, evaluations of 20 ms, with the start"
+    yield Aim("scaling", what, 0.9, True, value, share)
 
 
 def of_noise(found: Found | None) -> Iterator[Aim]:

@@ -22,13 +22,14 @@ BUILD = HERE.parent / "build"
 PYTHON = BUILD / "peers" / "bin" / "python"  # without it, peers are reported as missing
 COMMANDS = {
     script: [f"{script}.py"]
-    for script in ("runs", "startup", "scaling", "kernels", "dispatch")
+    for script in ("runs", "populations", "startup", "scaling", "kernels", "dispatch")
 }
 COMMANDS["scale"] = ["-m", "scale"]
 COMMANDS["many_servers"] = ["many_servers.py"]
 COMMANDS["methods"] = ["methods.py"]
 COMMANDS["noise"] = ["noise.py"]
 ALONE = (
+    "populations",
     "scale",
     "many_servers",
     "methods",

@@ -23,6 +23,7 @@ SCRIPTS = {
     "startup": tables.startup,
     "scaling": tables.scaling,
     "runs": tables.runs,
+    "populations": tables.populations,
     "scale": tables.scale,
     "many_servers": tables.many_servers,
     "methods": tables.methods,

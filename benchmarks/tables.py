@@ -228,8 +228,9 @@ def many_servers(found: Found) -> str:
 
 
 def startup(found: Found) -> str:
-    """Format first results, then memory."""
+    """Format first results, then the time of commands, then memory."""
     first = [row for row in found["rows"] if row["what"] == "first result" and "s" in row]
+    asked = [row for row in found["rows"] if row["what"] == "command"]
     used = [row for row in found["rows"] if row["what"] == "memory"]
     return (
         markdown(
@@ -237,6 +238,11 @@ def startup(found: Found) -> str:
             [[row["of"], row["how"], spread(row, "s", "{:.2f}".format)] for row in first],
         )
         + missing((row for row in found["rows"] if row["what"] == "first result"), "of")
+        + "\n"
+        + markdown(
+            ["`zswarm-ot`, from return to prompt", "s"],
+            [[row["of"], spread(row, "s", "{:.2f}".format)] for row in asked],
+        )
         + "\n"
         + markdown(
             [
@@ -298,6 +304,17 @@ def runs(found: Found) -> str:
                 f"{row['per_s'] / FREVO[row['field']]:.1f}",
                 spread(row, "whole_per_s", figure),
             ]
+            for row in found["rows"]
+        ],
+    )
+
+
+def populations(found: Found) -> str:
+    """Format the optimizer's time of a generation by the size of the population."""
+    return markdown(
+        ["population", "s per generation", "memory of the optimizer, MB"],
+        [
+            [f"{row['population']:,}", f"{row['generation_s']:.3f}", figure(row["mb"])]
             for row in found["rows"]
         ],
     )
