@@ -213,3 +213,48 @@ def test_another_build_of_pymunk_concerns_the_problems_that_use_it(
     one, there, other, here = found
     assert [one[name] == other[name] for name in names] == [False, True]
     assert version_hash.differing(here, there) == ["other build of pymunk"]
+
+
+@pytest.mark.parametrize(
+    ("file", "covered"),
+    [
+        ("zswarm_one.py", True),
+        ("world.py", True),
+        ("deep/__init__.py", True),
+        ("deep/walls.map", True),
+        ("far.py", True),
+        ("unrelated.py", False),
+    ],
+)
+def test_modules_beside_an_editable_plug_in_that_it_imports_are_covered(
+    site: Path, tmp_path_factory: pytest.TempPathFactory, file: str, covered: bool
+) -> None:
+    """An editable installation names a folder, and lists no files."""
+    work = tmp_path_factory.mktemp("work")
+    for name, text in {
+        "zswarm_one.py": "import numpy, world\nclass Sim:\n    pass\n",
+        "world.py": "def load():\n    from deep import walls\n",
+        "deep/__init__.py": "import far\n",
+        "deep/walls.map": "map 1",
+        "far.py": "x = 1\n",
+        "unrelated.py": "x = 1\n",
+    }.items():
+        (work / name).parent.mkdir(exist_ok=True)
+        (work / name).write_text(text)
+    information = site / "zswarm_one-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text(
+        METADATA.format("1.0").replace("dataful", "one")
+    )
+    (information / "entry_points.txt").write_text(
+        "[zswarm.simulators]\none = zswarm_one:Sim\n"
+    )
+    (information / "RECORD").write_text("zswarm_one.pth,,\n")
+    with pytest.MonkeyPatch.context() as patched:
+        patched.syspath_prepend(str(work))
+        forget()
+        before = version_hash.version_hash("one", "fully-meshed")
+        (work / file).write_text("another = 1\n")
+        forget()
+        after = version_hash.version_hash("one", "fully-meshed")
+    assert (before != after) is covered

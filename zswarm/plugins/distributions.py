@@ -1,5 +1,6 @@
 """What the distributions of plug-ins consist of: packages that pip installed."""
 
+import ast
 import importlib.util
 from collections.abc import Iterable, Iterator
 from importlib.machinery import EXTENSION_SUFFIXES
@@ -21,10 +22,13 @@ def plugin_files(package: str, source: "Distribution | None") -> list[Path]:
 
     Args:
         package: the top-level package or module; every file in its folders counts.
-        source: the distribution that it came with; what this installed elsewhere counts, too.
+        source: the distribution that it came with; what this installed elsewhere counts, too. An
+            editable installation lists no files: modules beside the package count if it imports
+            them, and data files do not.
     """
     found = list(_folder_files(package))
     if source is not None:
+        found += _imported_beside(package, found, Path(str(source.locate_file(""))))
         known = {file.resolve() for file in found}
         installed = sorted(_installed(source))
         found += [file for file in installed if file.resolve() not in known]
@@ -57,6 +61,44 @@ def _folder_files(package: str) -> Iterator[Path]:
             yield from regular(file for file in every if not _derived(file))
     elif spec.origin:
         yield Path(spec.origin)
+
+
+def _imported_beside(package: str, own: list[Path], installed_in: Path) -> Iterator[Path]:
+    """Yield the files of modules beside a package that it imports, directly or not.
+
+    Not where all distributions are installed: there, each lists its files.
+    """
+    spec = importlib.util.find_spec(package)
+    if spec is None or not spec.origin:
+        return
+    module = Path(spec.origin)
+    folder = module.parent.parent if spec.submodule_search_locations else module.parent
+    if folder.resolve() == installed_in.resolve():
+        return
+    waiting, seen = [file for file in own if file.suffix == ".py"], {package}
+    while waiting:
+        for name in _imports(waiting.pop()) - seen:
+            seen.add(name)
+            here = (folder / f"{name}.py", folder / name / "__init__.py")
+            if any(file.is_file() for file in here):
+                files = list(_folder_files(name))
+                waiting += [file for file in files if file.suffix == ".py"]
+                yield from files
+
+
+def _imports(file: Path) -> set[str]:
+    """Return the top-level modules that a file of Python imports; none if it is damaged."""
+    try:
+        tree = ast.parse(file.read_bytes())
+    except (SyntaxError, ValueError):
+        return set()
+    found = set[str]()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module.partition(".")[0])
+    return found
 
 
 def _installed(source: "Distribution") -> Iterator[Path]:
