@@ -45,7 +45,7 @@ class Compared:
 
 def compare(
     *runs: Folder | Run,
-    by: "By" = "generations",
+    by: "By | None" = None,
     measure: str = SEARCH,
     labels: Mapping[str, str] | None = None,
 ) -> Compared:
@@ -53,7 +53,8 @@ def compare(
 
     Args:
         runs: runs, their folders, or folders that contain runs.
-        by: compare after equally many "generations" or "evaluations".
+        by: compare after equally many "generations", "evaluations" or "simulations"; None: what
+            all runs have a budget of, else generations.
         measure: "search": best fitness in search; "held-out"; "fitness" or a metric, of
             ``zswarm-ot evaluate``.
         labels: other names of groups.

@@ -36,7 +36,7 @@ def compared(groups: Mapping[str, Sequence[Run]]) -> Comparison:
 
 def test_a_row_has_median_and_quartiles_of_the_runs() -> None:
     (row,) = comparison.of_series({"a": ended([4, 1, 2, 3, 5])}, "generations").rows
-    assert row == ("a", 5, 3.0, 2.0, 4.0, 5.0, 1.0, 50.0, 1.0, None)
+    assert row == ("a", 5, 3.0, 2.0, 4.0, 5.0, 1.0, 50.0, 1.0, None, 50.0)
 
 
 def test_runs_of_unequal_length_are_compared_at_the_shortest_length() -> None:
@@ -299,3 +299,35 @@ def test_words_give_the_p_value_and_the_corrected_one() -> None:
     assert words.endswith("A12 = 1.00 (large effect), p = 0.008, Holm-adjusted p = 0.048")
     alone = comparison.describe(pair._replace(p_holm=0.008))
     assert alone.endswith("A12 = 1.00 (large effect), p = 0.008")
+
+
+def budgeted(trials: int, generations: int, best: float) -> Series:
+    """Return a run of which each generation has 10 evaluations of some trials."""
+    counts = np.arange(1.0, generations + 1)
+    values = np.full(generations, best)
+    return Series(values, values, 10 * counts, counts, trials=trials)
+
+
+def test_groups_are_compared_after_equally_many_simulations() -> None:
+    groups = {"few": [budgeted(2, 8, 1.0)], "many": [budgeted(8, 2, 2.0)]}
+    found = comparison.of_series(groups, "simulations")
+    assert (found.by, found.at) == ("simulations", 160.0)
+    assert [(row.evaluations, row.simulations) for row in found.rows] == [
+        (80.0, 160.0),
+        (20.0, 160.0),
+    ]
+    assert comparison.effort_unit(found.rows) == "simulations"
+    assert not any("equal effort" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("trials", "unit"), [((1, 1), "evaluations"), ((1, 4), "simulations")]
+)
+def test_unequal_effort_is_named_with_the_option_that_makes_it_equal(
+    trials: tuple[int, int], unit: str
+) -> None:
+    few, many = trials
+    groups = {"a": [budgeted(few, 4, 1.0)], "b": [budgeted(many, 4, 2.0)]}
+    groups["b"] = [run._replace(evaluations=2 * run.evaluations) for run in groups["b"]]
+    (note,) = comparison.of_series(groups, "generations").notes
+    assert f"different numbers of {unit}; compare --by {unit} gives" in note

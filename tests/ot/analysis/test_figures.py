@@ -334,7 +334,8 @@ def test_figures_of_unknown_axes_and_sizes_are_refused_with_the_choices(
 ) -> None:
     run = written(tmp_path, [1.0, 2.0])
     with pytest.raises(
-        ValueError, match="x: expected generation, evaluations or time, not 'gen'"
+        ValueError,
+        match="x: expected generation, evaluations, simulations or time, not 'gen'",
     ):
         zswarm.plot(run, x="gen")  # type: ignore[arg-type]
     with pytest.raises(

@@ -114,6 +114,11 @@ def test_likely_mistakes_are_reported(
     assert told.startswith(warning)
 
 
+def test_a_study_with_a_budget_does_not_use_the_number_of_generations() -> None:
+    budget = "study.budget={ evaluations = 500 }"
+    assert explained("minisim", "generations=1", budget).warnings == []
+
+
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_examples_have_no_likely_mistakes(name: str) -> None:
     """An example has no warning, whatever its genomes; the stadium has one trial for all seeds."""

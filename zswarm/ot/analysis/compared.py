@@ -19,10 +19,11 @@ UNASSESSED = (
 )
 
 
-def compare(groups: Mapping[str, Sequence[Run]], by: By, of: str) -> Comparison:
+def compare(groups: Mapping[str, Sequence[Run]], by: By | None, of: str) -> Comparison:
     """Compare groups.
 
     Args:
+        by: None: what all runs have a budget of, else generations.
         of: ``search``, ``held-out``, ``fitness`` or a metric.
 
     Raises:
@@ -32,7 +33,7 @@ def compare(groups: Mapping[str, Sequence[Run]], by: By, of: str) -> Comparison:
     runs = [run for members in groups.values() for run in members]
     if of == SEARCH:
         loaded, notes = curves.load(groups)
-        found = comparison.of_series(loaded, by, notes, settings)
+        found = comparison.of_series(loaded, by or _budget(runs), notes, settings)
         finished = [run for run in runs if run.finished]
         if finished and all(run.held_out is None for run in finished):
             found = found._replace(notes=[*found.notes, UNASSESSED])
@@ -43,7 +44,7 @@ def compare(groups: Mapping[str, Sequence[Run]], by: By, of: str) -> Comparison:
             importance=found.importance and importance.without(len(runs), why)
         )
     values, counted, left_out = measure.values(groups, of)
-    loaded, notes = curves.load(counted)
+    loaded, notes = curves.load(counted, search=False)
     if any(len(loaded[group]) != len(members) for group, members in counted.items()):
         counted = {
             group: curves.distinct(members)[0] for group, members in counted.items()
@@ -51,6 +52,14 @@ def compare(groups: Mapping[str, Sequence[Run]], by: By, of: str) -> Comparison:
         values, _, _ = measure.values(counted, of)
     notes = [*left_out, *notes]
     return comparison.of_values(values, loaded, measure.words(of), notes, settings)
+
+
+def _budget(runs: Sequence[Run]) -> By:
+    """Return what all runs have a budget of, else generations."""
+    limits = [run.experiment.stop for run in runs]
+    if all(stop.simulations for stop in limits):
+        return "simulations"
+    return "evaluations" if all(stop.evaluations for stop in limits) else "generations"
 
 
 def numbers(

@@ -20,7 +20,7 @@ from zswarm.ot.analysis.importance import Importance, of_groups
 from zswarm.system.extras import need
 from zswarm.system.format import plural
 
-By = Literal["generations", "evaluations"]
+By = Literal["generations", "evaluations", "simulations"]
 LEVEL = 0.05  # of significance
 SEARCH = "best fitness in search"
 PERMUTATIONS = 15_000  # at most, if ties forbid the exact distribution
@@ -50,6 +50,7 @@ class Row(NamedTuple):
     seconds: float  # likewise
     # Median of the champions' means on held-out seeds; None: no run was assessed.
     held_out: float | None
+    simulations: float  # likewise
 
 
 class Pair(NamedTuple):
@@ -79,7 +80,7 @@ class Comparison(NamedTuple):
     """All groups and pairs."""
 
     by: By
-    at: float  # generations or evaluations
+    at: float  # generations, evaluations or simulations
     rows: list[Row]
     pairs: list[Pair]
     # Over all groups, if there are more than two and large enough.
@@ -93,6 +94,7 @@ class Comparison(NamedTuple):
 class _Sample(NamedTuple):
     best: np.ndarray  # (runs,)
     evaluations: np.ndarray
+    simulations: np.ndarray
     seconds: np.ndarray
 
 
@@ -102,7 +104,7 @@ def of_series(
     notes: Sequence[str] = (),
     settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Comparison:
-    """Compare groups at the largest number of generations (or evaluations) that all runs have.
+    """Compare groups at the largest number of generations, or of ``by``, that all runs have.
 
     Args:
         notes: of ``curves.load``, which return among those of the comparison.
@@ -117,7 +119,7 @@ def of_series(
     runs = [run for members in started.values() for run in members]
     if any(run.relative for run in runs):
         raise ConfigError(SCORES)
-    axis: curves.Axis = "generation" if by == "generations" else "evaluations"
+    axis: curves.Axis = "generation" if by == "generations" else by
     ends = {float(curves.positions(run, axis)[-1]) for run in runs}
     at = min(ends)
     samples = {group: _sample(members, axis, at) for group, members in started.items()}
@@ -148,9 +150,8 @@ def of_values(
     """
     samples = {}
     for group, numbers in values.items():
-        ends = [(run.evaluations[-1], run.seconds[-1]) for run in groups[group]]
-        evaluations, seconds = np.array(ends, np.float64).reshape(-1, 2).T
-        samples[group] = _Sample(numbers, evaluations, seconds)
+        ends = [_effort(run, -1) for run in groups[group]]
+        samples[group] = _Sample(numbers, *np.array(ends, np.float64).reshape(-1, 3).T)
     rows = [_row(group, sample, groups[group]) for group, sample in samples.items()]
     pairs, kruskal_p, untested = _test(values)
     at = float(max(len(run.best) for runs in groups.values() for run in runs))
@@ -220,32 +221,47 @@ def _sample(runs: Sequence[Series], axis: curves.Axis, at: float) -> _Sample:
         last = curves.last_before(run, axis, at)
         if last < 0:
             raise ConfigError(
-                f"no number of evaluations is common to all runs: one has {at:.0f} in all, "
+                f"no number of {axis} is common to all runs: one has {at:.0f} in all, "
                 "another's first generation more"
             )
-        found.append((run.best[last], run.evaluations[last], run.seconds[last]))
+        found.append((run.best[last], *_effort(run, last)))
     return _Sample(*np.array(found).T)
+
+
+def _effort(run: Series, last: int) -> tuple[float, float, float]:
+    """Return evaluations, simulations and seconds up to the end of a generation."""
+    evaluations = float(run.evaluations[last])
+    return evaluations, evaluations * run.trials, float(run.seconds[last])
 
 
 def _row(group: str, sample: _Sample, runs: Sequence[Series]) -> Row:
     spent = float(np.median(sample.evaluations)), float(np.median(sample.seconds))
     means = [run.held_out[0] for run in runs if run.held_out is not None]
     held_out = float(np.median(means)) if means else None
-    return Row(group, len(sample.best), *curves.spread(sample.best), *spent, held_out)
+    simulations = float(np.median(sample.simulations))
+    best = curves.spread(sample.best)
+    return Row(group, len(sample.best), *best, *spent, held_out, simulations)
+
+
+def effort_unit(rows: Sequence[Row]) -> Literal["evaluations", "simulations"]:
+    """Return what the groups' effort is counted in: simulations if evaluations differ in trials."""
+    trials = {round(row.simulations / row.evaluations) for row in rows if row.evaluations}
+    return "simulations" if len(trials) > 1 else "evaluations"
 
 
 def _notes(
     samples: Mapping[str, _Sample], rows: Sequence[Row], by: By, ends: set[float]
 ) -> list[str]:
-    notes, spent = [], [row.evaluations for row in rows]
+    notes, unit = [], effort_unit(rows)
+    spent = [getattr(row, unit) for row in rows]
     if by == "generations" and len(ends) > 1:
         least = plural(int(min(ends)), "generation")
         notes.append(
             f"runs are of unequal length: compared after {least}, which all have"
         )
-    if by == "generations" and max(spent) > UNEQUAL * min(spent):
+    if by != unit and max(spent) > UNEQUAL * min(spent):
         notes.append(
-            "the groups used different numbers of evaluations; compare --by evaluations gives a "
+            f"the groups used different numbers of {unit}; compare --by {unit} gives a "
             "comparison at equal effort"
         )
     if any(np.isneginf(sample.best).any() for sample in samples.values()):

@@ -13,7 +13,7 @@ from zswarm.system.text import clean
 if TYPE_CHECKING:
     from zswarm.ot.record.reader import Run
 
-Axis = Literal["generation", "evaluations", "time"]
+Axis = Literal["generation", "evaluations", "simulations", "time"]
 POINTS = 1000  # of a drawn curve: more than a printed one shows
 
 
@@ -32,6 +32,7 @@ class Series(NamedTuple):
     relative: bool = False  # fitness is a score, and best is that of the generation
     # (tracked, 4): generation, and mean of its best on held-out seeds with its 95 % interval.
     track: np.ndarray = np.empty((0, 4))
+    trials: int = 1  # of an evaluation
 
 
 Groups = Mapping[str, Sequence[Series]]
@@ -77,6 +78,7 @@ def series(run: "Run") -> Series:
         held_out,
         run.relative,
         _track(run, len(history), trials),
+        run.experiment.problem.trials,
     )
 
 
@@ -92,10 +94,15 @@ def _track(run: "Run", generations: int, trials: int) -> np.ndarray:
 
 
 def load(
-    groups: Mapping[str, Sequence["Run"]],
+    groups: Mapping[str, Sequence["Run"]], *, search: bool = True
 ) -> tuple[dict[str, list[Series]], list[str]]:
-    """Read each run once; return notes on omitted and unfinished runs and on problems, too."""
-    loaded, notes = {}, problems(run for runs in groups.values() for run in runs)
+    """Read each run once; return notes on omitted and unfinished runs and on problems, too.
+
+    Args:
+        search: whether fitness in search is looked at.
+    """
+    every = [run for runs in groups.values() for run in runs]
+    loaded, notes = {}, problems(every, search=search)
     for group, runs in groups.items():
         counted, omitted = distinct(runs)
         loaded[group] = [series(run) for run in counted]
@@ -129,7 +136,7 @@ def mixed(runs: Iterable["Run"]) -> list[str]:
     return [f"{name} was {text}" for name, text in marks.items() if text]
 
 
-def problems(runs: Iterable["Run"]) -> list[str]:
+def problems(runs: Iterable["Run"], *, search: bool = True) -> list[str]:
     """Return a note if the runs have different problems."""
 
     def judged_by(run: "Run") -> dict[str, Any]:
@@ -149,6 +156,12 @@ def problems(runs: Iterable["Run"]) -> list[str]:
     differing = [
         key for key in keys if len({repr(problem.get(key)) for problem in found}) > 1
     ]
+    if differing == ["trials"]:
+        text = (
+            "the runs' candidates have different numbers of trials: with fewer, the best fitness "
+            "in search owes more to luck; compare --measure held-out compares champions alike"
+        )
+        return [text] if search else []
     if not differing:
         return []
     names = clean(", ".join(differing))
@@ -289,5 +302,7 @@ def positions(run: Series, axis: Axis) -> np.ndarray:
             return np.arange(1.0, len(run.best) + 1)
         case "evaluations":
             return run.evaluations
+        case "simulations":
+            return run.evaluations * run.trials
         case "time":
             return run.seconds

@@ -254,7 +254,7 @@ def _ticks(axes: Any, axis: Axis, last: float) -> None:
             ticker.MaxNLocator(6, integer=axis != "time", steps=STEPS)
         )
     axes.yaxis.set_major_locator(ticker.MaxNLocator(6, steps=STEPS))
-    if axis == "evaluations" and last >= 10_000:
+    if axis in ("evaluations", "simulations") and last >= 10_000:
         axes.xaxis.set_major_formatter(ticker.EngFormatter(sep=""))  # 20k, 1M
 
 

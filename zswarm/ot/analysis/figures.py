@@ -227,7 +227,7 @@ def _note(groups: Groups, drawn: Sequence[Curve], axis: Axis) -> str:
         parts.append(
             f"bands: quartiles of {many} runs{' each' if len(drawn) > 1 else ''}"
         )
-    by: comparison.By = "generations" if axis == "generation" else "evaluations"
+    by: comparison.By = axis if axis in ("evaluations", "simulations") else "generations"
     with contextlib.suppress(ConfigError):  # no number of evaluations in common: no test
         parts.append(tested(comparison.of_series(groups, by)))
     return "\n".join(filter(None, parts))

@@ -1,10 +1,18 @@
 r"""Write a comparison as LaTeX tables, with the rules of the package booktabs."""
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from zswarm.ot.analysis.comparison import LEVEL, Comparison, Pair, Row, effect
+from zswarm.ot.analysis.comparison import (
+    LEVEL,
+    Comparison,
+    Pair,
+    Row,
+    effect,
+    effort_unit,
+)
 from zswarm.system.text import clean
 
 SPECIAL = {
@@ -13,7 +21,11 @@ SPECIAL = {
     "^": r"\textasciicircum{}",
     **{letter: f"\\{letter}" for letter in "&%$#_{}"},
 }
-GROUPS = ("", "runs", "median", "quartiles", "best", "held-out", "evaluations")
+GROUPS = ("", "runs", "median", "quartiles", "best", "held-out")
+PLAIN = (
+    1e-3,
+    1e6,
+)  # sizes of the largest number of a table that is written without an exponent
 PAIRS = ("", "", "$U$", "$p$", r"$p_\mathrm{Holm}$", "$A_{12}$", r"95\,\%", "effect")
 
 
@@ -30,23 +42,38 @@ def tables(found: Comparison) -> str:
         *([f"no test: {found.untested}"] if found.untested else []),
         *(["bold: significantly better than each other group"] if best else []),
     ]
-    groups = [_group(row, bold=row.group == best) for row in found.rows]
-    parts = [*(f"% {clean(text)}" for text in comments), tabular(GROUPS, groups)]
+    unit = effort_unit(found.rows)
+    form = _form(found.rows)
+    rows = [
+        (*_group(row, form, bold=row.group == best), f"{getattr(row, unit):.0f}")
+        for row in found.rows
+    ]
+    parts = [*(f"% {clean(text)}" for text in comments), tabular((*GROUPS, unit), rows)]
     if found.pairs:
         parts.append(tabular(PAIRS, map(_pair, found.pairs), texts=2))
     return "\n".join(parts)
 
 
-def _group(row: Row, *, bold: bool) -> Sequence[str]:
+def _group(row: Row, form: str, *, bold: bool) -> Sequence[str]:
     return (
         escaped(row.group),
         str(row.runs),
-        _bold(number(row.median), wanted=bold),
-        f"{number(row.q25)}--{number(row.q75)}",
-        number(row.best),
-        number(row.held_out),
-        f"{row.evaluations:.0f}",
+        _bold(number(row.median, form), wanted=bold),
+        f"{number(row.q25, form)}--{number(row.q75, form)}",
+        number(row.best, form),
+        number(row.held_out, form),
     )
+
+
+def _form(rows: Sequence[Row]) -> str:
+    """Return a format with as many decimals for all as the largest number has of four digits."""
+    shown = [(row.median, row.q25, row.q75, row.best, row.held_out) for row in rows]
+    largest = max(
+        (abs(value) for row in shown for value in row if value is not None), default=0.0
+    )
+    if not PLAIN[0] <= largest < PLAIN[1]:
+        return ".4g"
+    return f".{max(0, 3 - math.floor(math.log10(largest)))}f"
 
 
 def _pair(pair: Pair) -> Sequence[str]:
@@ -87,11 +114,11 @@ def escaped(text: str) -> str:
     return re.sub(r"[\\~^&%$#_{}]", lambda match: SPECIAL[match[0]], clean(text))
 
 
-def number(value: float | None) -> str:
-    """Return a number of four digits."""
+def number(value: float | None, form: str = ".4g") -> str:
+    """Return a number, by default of four digits."""
     if value is None:
         return "--"
-    text = f"{value:.4g}"
+    text = f"{value:{form}}"
     if "e" in text:
         digits, _, power = text.partition("e")
         return rf"${digits}\cdot 10^{{{int(power)}}}$"

@@ -24,10 +24,9 @@ REST = 0.001  # share of higher interactions from which on they are shown
 @options.paths_argument
 @click.option(
     "--by",
-    type=click.Choice(["generations", "evaluations"]),
-    default="generations",
-    show_default=True,
-    help="Compare runs after an equal number of these.",
+    type=click.Choice(["generations", "evaluations", "simulations"]),
+    help="Compare runs after an equal number of these.  [default: what they have a budget of, "
+    "else generations]",
 )
 @options.measure_option
 @options.label_option
@@ -38,7 +37,7 @@ REST = 0.001  # share of higher interactions from which on they are shown
 @options.json_option
 def command(
     paths: tuple[Path, ...],
-    by: "By",
+    by: "By | None",
     measure: str,
     labels: tuple[str, ...],
     csv: str | None,
@@ -127,6 +126,7 @@ def show(found: "Comparison") -> None:
     """Print a comparison for people."""
     from zswarm.ot.analysis import comparison
 
+    unit = comparison.effort_unit(found.rows)
     numbers = (
         ">runs",
         ">median",
@@ -134,7 +134,7 @@ def show(found: "Comparison") -> None:
         ">best",
         ">worst",
         ">held-out",
-        ">evaluations/run",
+        f">{unit}/run",
         ">time",
     )
     table = tables.table("group", *numbers, padding=(0, 1, 0, 0))
@@ -143,23 +143,23 @@ def show(found: "Comparison") -> None:
         quartiles = f"{_number(row.q25)} / {_number(row.q75)}" if several else ""
         values = (_number(row.median), quartiles, _number(row.best), _number(row.worst))
         held_out = "" if row.held_out is None else _number(row.held_out)
-        costs = (f"{row.evaluations:.0f}", duration(row.seconds))
+        costs = (f"{getattr(row, unit):.0f}", duration(row.seconds))
         tables.row(table, row.group, row.runs, *values, held_out, *costs)
     tables.show(table)
     for note in found.notes:
         tables.paragraph(note)
-    unit = found.by if found.at != 1 else found.by.removesuffix("s")
+    spent = found.by if found.at != 1 else found.by.removesuffix("s")
     what = f"Compared: {found.of}; higher is better. "
     if found.of == comparison.SEARCH:
         what = (
-            f"Fitness is the best of each run in search after {found.at:.0f} {unit}, as the mean "
+            f"Fitness is the best of each run in search after {found.at:.0f} {spent}, as the mean "
             "of a candidate's trials; higher is better. "
         )
     tables.paragraph(
         f"{what}"
         "Half of a group's runs are above the median, and half lie between the quartiles. Held-out "
         "is what the champions of finished runs do on seeds that search did not use; it, "
-        "evaluations and time are the medians of its runs."
+        f"{unit} and time are the medians of its runs."
     )
     if len(found.rows) > 1:
         tables.line("")

@@ -32,7 +32,7 @@ MENU = ("Results", 7)
 @click.option(
     "--x",
     "axis",
-    type=click.Choice(["generation", "evaluations", "time"]),
+    type=click.Choice(["generation", "evaluations", "simulations", "time"]),
     default="generation",
     show_default=True,
     help="Quantity on the horizontal axis.",

@@ -12,6 +12,7 @@ import numpy as np
 
 from zswarm import evaluate, experiment
 from zswarm.config import ranges
+from zswarm.config.sections import BudgetConfig
 from zswarm.experiment import Experiment
 from zswarm.ot.assessment import amount
 from zswarm.ot.build import Parts
@@ -259,7 +260,7 @@ def _warnings(
         yield f"every trial that was tried failed{reason}; {NOTHING_EVOLVES}"
     elif sample.error:
         yield f"a trial that was tried failed: {sample.error}; the candidate is ranked last"
-    if complete.generations == 1:
+    if complete.generations == 1 and complete.study.budget == BudgetConfig():
         yield "generations = 1: random candidates are judged, and nothing evolves"
     if first < FEW:
         yield f"only {first} candidates in a generation: evolution needs a choice; 50 is usual"
