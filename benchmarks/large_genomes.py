@@ -7,6 +7,7 @@ the genomes' bytes, its most memory, and the seconds of all and of a generation,
 """
 
 import contextlib
+import itertools
 import json
 import math
 import resource
@@ -110,7 +111,7 @@ def measure(
         ends += [time.perf_counter() for _ in evolution]
         genomes = 4 * size * record.evaluations()
     seconds = time.perf_counter() - ends[0]
-    later = [end - last for last, end in zip(ends[1:], ends[2:], strict=False)]
+    later = [end - last for last, end in itertools.pairwise(ends[1:])]
     return {
         "genes": size,
         "genomes_mb": round(genomes / 1e6, 1),

@@ -76,6 +76,13 @@ class Controller(
     robot: RobotInterface | None = None  # as its simulator has it; None: it drives none
     held_out: HeldOut | None = None  # once the run's last generation is assessed
 
+    def __repr__(self) -> str:
+        """Return what it is, without its genome."""
+        return (
+            f"<Controller of {self.run}: {self.representation}, {len(self.genome):,} bytes, "
+            f"fitness {self.in_search()}>"
+        )
+
     def in_search(self) -> str:
         """Describe its fitness in search, as the mean of a trial if their number is known."""
         if not self.trials:

@@ -215,32 +215,20 @@ def test_another_build_of_pymunk_concerns_the_problems_that_use_it(
     assert version_hash.differing(here, there) == ["other build of pymunk"]
 
 
-@pytest.mark.parametrize(
-    ("file", "covered"),
-    [
-        ("zswarm_one.py", True),
-        ("world.py", True),
-        ("deep/__init__.py", True),
-        ("deep/walls.map", True),
-        ("far.py", True),
-        ("unrelated.py", False),
-    ],
-)
-def test_modules_beside_an_editable_plug_in_that_it_imports_are_covered(
-    site: Path, tmp_path_factory: pytest.TempPathFactory, file: str, covered: bool
-) -> None:
-    """An editable installation names a folder, and lists no files."""
-    work = tmp_path_factory.mktemp("work")
-    for name, text in {
-        "zswarm_one.py": "import numpy, world\nclass Sim:\n    pass\n",
-        "world.py": "def load():\n    from deep import walls\n",
-        "deep/__init__.py": "import far\n",
-        "deep/walls.map": "map 1",
-        "far.py": "x = 1\n",
-        "unrelated.py": "x = 1\n",
-    }.items():
-        (work / name).parent.mkdir(exist_ok=True)
-        (work / name).write_text(text)
+BESIDE = {
+    "zswarm_one.py": "import numpy, world\nclass Sim:\n    pass\n",
+    "world.py": "def load():\n    from deep import walls\n",
+    "deep/__init__.py": "import far\n",
+    "deep/walls.map": "map 1",
+    "far.py": "x = 1\n",
+}
+
+
+def install_one(site: Path, code: Path, files: list[str]) -> None:
+    """Write the code of a plug-in to a folder, and its metadata to a site."""
+    for name, text in (BESIDE | {"unrelated.py": "x = 1\n"}).items():
+        (code / name).parent.mkdir(exist_ok=True)
+        (code / name).write_text(text)
     information = site / "zswarm_one-1.0.dist-info"
     information.mkdir()
     (information / "METADATA").write_text(
@@ -249,12 +237,40 @@ def test_modules_beside_an_editable_plug_in_that_it_imports_are_covered(
     (information / "entry_points.txt").write_text(
         "[zswarm.simulators]\none = zswarm_one:Sim\n"
     )
-    (information / "RECORD").write_text("zswarm_one.pth,,\n")
+    (information / "RECORD").write_text("".join(f"{name},,\n" for name in files))
+
+
+def hash_of_one() -> str:
+    forget()
+    return version_hash.version_hash("one", "fully-meshed")
+
+
+@pytest.mark.parametrize("file", [*BESIDE, "unrelated.py"])
+def test_modules_beside_an_editable_plug_in_that_it_imports_are_covered(
+    site: Path, tmp_path_factory: pytest.TempPathFactory, file: str
+) -> None:
+    """An editable installation names a folder, and lists no files."""
+    work = tmp_path_factory.mktemp("work")
+    install_one(site, work, ["zswarm_one.pth"])
     with pytest.MonkeyPatch.context() as patched:
         patched.syspath_prepend(str(work))
-        forget()
-        before = version_hash.version_hash("one", "fully-meshed")
+        before = hash_of_one()
         (work / file).write_text("another = 1\n")
-        forget()
-        after = version_hash.version_hash("one", "fully-meshed")
-    assert (before != after) is covered
+        after = hash_of_one()
+    assert (before != after) is (file in BESIDE)
+
+
+def test_an_editable_plug_in_has_the_hash_of_its_wheel(
+    site: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    found = []
+    for where in ("work", "wheel"):
+        packages = tmp_path_factory.mktemp("packages")
+        code = tmp_path_factory.mktemp(where) if where == "work" else packages
+        files = ["zswarm_one.pth"] if where == "work" else list(BESIDE)
+        install_one(packages, code, files)
+        with pytest.MonkeyPatch.context() as patched:
+            for folder in {packages, code}:
+                patched.syspath_prepend(str(folder))
+            found.append(hash_of_one())
+    assert found[0] == found[1]

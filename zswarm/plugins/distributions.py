@@ -24,11 +24,12 @@ def plugin_files(package: str, source: "Distribution | None") -> list[Path]:
         package: the top-level package or module; every file in its folders counts.
         source: the distribution that it came with; what this installed elsewhere counts, too. An
             editable installation lists no files: modules beside the package count if it imports
-            them, and data files do not.
+            them, in the order of a wheel, and data files do not.
     """
     found = list(_folder_files(package))
     if source is not None:
-        found += _imported_beside(package, found, Path(str(source.locate_file(""))))
+        site = Path(str(source.locate_file("")))
+        found += sorted(_imported_beside(package, found, site))
         known = {file.resolve() for file in found}
         installed = sorted(_installed(source))
         found += [file for file in installed if file.resolve() not in known]

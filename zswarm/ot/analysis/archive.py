@@ -87,7 +87,7 @@ def draw(found: Archive, size: FigureStyle, title: str = "") -> "Figure":
             interpolation="nearest",
         )
         axes.set_xlabel(found.names[0])
-        axes.set_ylabel(found.names[1])
+        axes.set_ylabel(drawing.upright(found.names[1], size))
         bar = figure.colorbar(image, ax=axes)
         bar.set_label("fitness, mean of a trial")
         coverage = f"{100 * found.coverage:.0f} % of the cells"

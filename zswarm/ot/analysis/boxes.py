@@ -75,7 +75,7 @@ def draw(
             ha="right" if turned else "center",
         )
         axes.set_xlim(0.4, len(finite) + 0.6)
-        axes.set_ylabel(height)
+        axes.set_ylabel(drawing.upright(height, size))
         if title:
             axes.set_title(
                 clean(title), loc="left", fontweight="bold", fontsize=size.font

@@ -33,7 +33,7 @@ def compare(groups: Mapping[str, Sequence[Run]], by: By | None, of: str) -> Comp
     runs = [run for members in groups.values() for run in members]
     if of == SEARCH:
         loaded, notes = curves.load(groups)
-        found = comparison.of_series(loaded, by or _budget(runs), notes, settings)
+        found = comparison.of_series(loaded, by or usual(runs), notes, settings)
         finished = [run for run in runs if run.finished]
         if finished and all(run.held_out is None for run in finished):
             found = found._replace(notes=[*found.notes, UNASSESSED])
@@ -54,7 +54,7 @@ def compare(groups: Mapping[str, Sequence[Run]], by: By | None, of: str) -> Comp
     return comparison.of_values(values, loaded, measure.words(of), notes, settings)
 
 
-def _budget(runs: Sequence[Run]) -> By:
+def usual(runs: Sequence[Run]) -> By:
     """Return what all runs have a budget of, else generations."""
     limits = [run.experiment.stop for run in runs]
     if all(stop.simulations for stop in limits):

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 # Fitness is clipped there; matplotlib cannot place ticks over a float's range.
 GREATEST = 1e300
 POINT = 72  # per inch
+UPRIGHT = 0.6  # of a figure's height that a line of text along its side may take
 STEPS = (1, 2, 2.5, 5, 10)  # between ticks
 FONT = "DejaVu Sans"  # comes with matplotlib
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
@@ -146,7 +147,7 @@ def _draw(plot: Plot, style: FigureStyle) -> "Figure":
         _cut_below(axes, plot.lowest, lines)
     _ticks(axes, plot.axis, max(float(line.x[-1]) for line in lines))
     axes.set_xlabel(f"time ({unit})" if unit else plot.axis)
-    axes.set_ylabel(plot.height)
+    axes.set_ylabel(upright(plot.height, style))
     if not any(np.isfinite(line.y).any() for line in lines):
         axes.set_yticks([])
         place: dict[str, Any] = {
@@ -295,6 +296,18 @@ def _time_unit(lines: Sequence[CurveLine]) -> tuple[float, str]:
         if longest > 180
         else (1.0, "s")
     )
+
+
+def upright(text: str, style: FigureStyle) -> str:
+    """Return the name of a vertical axis in as many lines as the height of a figure needs."""
+    lines: list[str] = []
+    for word in text.split():
+        longer = f"{lines[-1]} {word}" if lines else word
+        if lines and _width(longer, style.font) <= UPRIGHT * style.height * POINT:
+            lines[-1] = longer
+        else:
+            lines.append(word)
+    return "\n".join(lines)
 
 
 def _fitting(text: str, size: float, room: float) -> str:

@@ -260,8 +260,8 @@ def _show_servers(survey: "Survey", complete: Experiment) -> int:
     )
     limit = f", of which it holds at most {choice.max_slots:,}"
     text = (
-        f"{len(matching_ones)} of {plural(len(survey.servers), 'server')} in realm {realm} can "
-        f"evaluate it, with {plural(slots, 'slot')}{limit if 0 < choice.max_slots < slots else ''}"
+        f"{len(matching_ones)} of {plural(len(survey.servers), 'server')} in realm {realm}, of the "
+        f"same code, with {plural(slots, 'slot')}{limit if 0 < choice.max_slots < slots else ''}"
     )
     tables.entry("servers", text if survey.servers else f"none found in realm {realm}")
     for server, reason in refusals.items():

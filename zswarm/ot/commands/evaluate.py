@@ -191,7 +191,7 @@ def _study(
             tables.row(table, *cells)
         tables.show(table)
         tables.paragraph(
-            f"Each champion played {plural(trials, 'held-out trial')}, all of them the same. The "
-            "numbers are medians and quartiles of the runs' means of a trial."
+            f"All champions played the same {plural(trials, 'held-out trial')}. The numbers are "
+            "medians and quartiles of the runs' means of a trial."
         )
         tables.line(f"next    zswarm-ot compare {folder} --measure {measure.FITNESS}")

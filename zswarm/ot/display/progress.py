@@ -172,8 +172,9 @@ def summary(result: Result) -> str:
         f"{best} {with_trials(result.best, result.trials)} "
         f"after {plural(result.generations, 'generation')}, "
         f"{plural(result.evaluations, 'evaluation')}, "
-        f"{result.requeued:,} {'retry' if result.requeued == 1 else 'retries'}, "
-        f"{duration(result.seconds)}\n"
+        f"{result.requeued:,} {'retry' if result.requeued == 1 else 'retries'}"
+        # Unknown of a run that finished earlier.
+        f"{f', {duration(result.seconds)}' if result.seconds else ''}\n"
         f"{held_out(result.champion, result.trials)}"
         f"history {', '.join([*flaws(result), result.history_hash])}\n"
         f"run     {result.run}"

@@ -11,7 +11,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from zswarm.ot.analysis import caveats, comparison, curves, drawing, figures, grouping
+from zswarm.ot.analysis import (
+    caveats,
+    compared,
+    comparison,
+    curves,
+    drawing,
+    figures,
+    grouping,
+)
 from zswarm.ot.estimate.retrospect import look_back
 from zswarm.ot.notes import RunEvent
 from zswarm.ot.record.folder import EXPERIMENT
@@ -106,7 +114,7 @@ def of_study(path: Path, runs: Sequence[Run]) -> str:
     if any(run.relative for run in runs):
         parts["state"] = f"{comparison.SCORES[0].upper()}{comparison.SCORES[1:]}."
     else:
-        parts["compared"] = comparison.of_series(loaded, "generations", notes)
+        parts["compared"] = comparison.of_series(loaded, compared.usual(runs), notes)
     return _page(
         title=name,
         groups=len(groups),
