@@ -32,25 +32,16 @@ SETTINGS: dict[str, dict[str, str]] = {
     "plain": {"ZSWARM_PLAIN": "1"},
     "plain, numba there": {"NUMBA_DISABLE_JIT": "1"},
     "oldest processor": OLDEST | OLDEST_NUMPY | OLDEST_C_LIBRARY,
-    "compiled without optimization": {"NUMBA_OPT": "0"},
-    "compiled with all vectors": {
-        "NUMBA_OPT": "max",
-        "NUMBA_LOOP_VECTORIZE": "1",
-        "NUMBA_SLP_VECTORIZE": "1",
-    },
 }
 # the pendulums of two genomes may fall in the same step
 FALL_ALIKE = "inverted-pendulum fully-meshed input_model="
 SAID = {"whole": [], "short": ["short"], "few": ["few"]}  # to bits.py, of the trials
-# Whole trials reach what only happens late, which is compared where the instructions differ. Every
-# kernel is compiled anew for each way to compile; a few steps of it show how it was compiled. That
+# Whole trials reach what only happens late, which is compared where the instructions differ. That
 # numba is there but does not compile runs the same Python as without it.
 TRIALS = {
     "plain": "short",
     "plain, numba there": "few",
     "oldest processor": "whole",
-    "compiled without optimization": "short",
-    "compiled with all vectors": "short",
 }
 
 
