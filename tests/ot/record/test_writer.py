@@ -19,6 +19,7 @@ from zswarm.errors import ConfigError
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note
 from zswarm.ot.record import commits as commits_module
+from zswarm.ot.record import statements
 from zswarm.ot.record.folder import load_experiment
 from zswarm.ot.record.history_hash import History
 from zswarm.ot.record.opening import SECRET
@@ -636,3 +637,12 @@ def test_a_champion_is_read_back_whole(record: Record) -> None:
     record.sync()
     assert load_controller(record.folder) == CHAMPION
     assert load_controller(record.folder / "champion.zsc") == CHAMPION
+
+
+def test_genomes_of_a_generation_are_dropped_in_few_statements() -> None:
+    """Each looks for the best of its generation."""
+    places = [(generation, at) for generation in (3, 4) for at in range(2000)]
+    found = list(statements.dropped_genomes(places))
+    assert [len(values) - 2 for _, values in found] == [997, 997, 6] * 2
+    assert [at for _, values in found for at in values[1:-1]] == [*range(2000)] * 2
+    assert all(values[0] == values[-1] for _, values in found)

@@ -1,7 +1,8 @@
 """The statements that add to a record's tables; each may be executed twice (``database``)."""
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from operator import itemgetter
 
 import numpy as np
 
@@ -24,11 +25,12 @@ ADD_CANDIDATES = "INSERT OR REPLACE INTO candidates VALUES "
 CANDIDATES_AT_ONCE = 166
 BYTES_AT_ONCE = 4 << 20  # of genomes: SQLite copies a statement's values
 ADD_GENERATION = f"INSERT OR REPLACE INTO generations VALUES ({', '.join('?' * 9)})"  # noqa: S608  ours
-# Of a candidate that is not the best of its generation.
-DROP_GENOME = (
-    "UPDATE candidates SET genome = NULL WHERE (generation, candidate) = (?, ?) AND candidate <> "
-    "(SELECT candidate FROM candidates WHERE generation = ? ORDER BY fitness DESC, candidate)"
+# The best of the generation is looked for once in a statement.
+DROP_GENOMES = (
+    "UPDATE candidates SET genome = NULL WHERE generation = ? AND candidate IN ({}) AND candidate "
+    "<> (SELECT candidate FROM candidates WHERE generation = ? ORDER BY fitness DESC, candidate)"
 )
+DROPPED_AT_ONCE = 997
 DROP_STATE = "DELETE FROM optimizer WHERE generation <> ?"
 ADD_STATE = "INSERT OR REPLACE INTO optimizer VALUES (?, ?, ?, ?, ?)"
 
@@ -106,6 +108,19 @@ def candidates(
         sql = ADD_CANDIDATES + ", ".join(["(?, ?, ?, ?, ?, ?)"] * len(part))
         statements.append((sql, tuple(itertools.chain.from_iterable(part))))
     return statements
+
+
+def dropped_genomes(places: Iterable[tuple[int, int]]) -> Iterator[Statement]:
+    """Yield what drops genomes, but for the best of each generation.
+
+    Args:
+        places: generation and number of candidates, sorted.
+    """
+    for generation, group in itertools.groupby(places, key=itemgetter(0)):
+        numbers = (candidate for _, candidate in group)
+        while part := tuple(itertools.islice(numbers, DROPPED_AT_ONCE)):
+            sql = DROP_GENOMES.format(", ".join("?" * len(part)))
+            yield sql, (generation, *part, generation)
 
 
 def generation_end(

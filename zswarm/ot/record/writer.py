@@ -341,10 +341,8 @@ class Record(Recorded):
             ]
         return [
             *statements.candidates(generation, kept, digests, fitness, measures),
-            *(
-                (statements.DROP_GENOME, (*place, place[0]))
-                for place in sorted(former - needed)
-                if self._drops(place[0])
+            *statements.dropped_genomes(
+                place for place in sorted(former - needed) if self._drops(place[0])
             ),
         ]
 
