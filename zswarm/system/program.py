@@ -1,5 +1,6 @@
-"""Run the main function of a command-line program, and end it although a thread hangs."""
+"""Run the main function of a command-line program, and end it whatever its threads do."""
 
+import atexit
 import os
 import sys
 import threading
@@ -9,12 +10,15 @@ from zswarm.system import terminal
 
 # Threads of this name may wait for a dead link, also while the interpreter ends.
 CLOSING = "closing"
+UNFLUSHED = 120  # exit code, Python's own
 
 
 def run(main: Callable[[], None]) -> None:
-    """Run a program; end the process at once if a session still waits for a dead link.
+    """Run a program, and end the process without taking the interpreter down.
 
-    Only command-line programs do so: a library call never ends the program of its user.
+    Threads of zenoh that call Python meanwhile would abort the process (signal 6). If a session
+    still waits for a dead link, functions of ``atexit`` are not called either. Only command-line
+    programs end so: a library call never ends the program of its user.
     """
     terminal.prepare()
     code: object = None
@@ -22,13 +26,17 @@ def run(main: Callable[[], None]) -> None:
         main()
     except SystemExit as ended:
         code = ended.code
-        if not _closing():
-            raise
-    if _closing():
-        for stream in (sys.stdout, sys.stderr):
+    if code is not None and not isinstance(code, int):
+        sys.stderr.write(f"{code}\n")
+        code = 1
+    if not any(thread.name == CLOSING for thread in threading.enumerate()):
+        atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        try:
             stream.flush()
-        os._exit(code if isinstance(code, int) else int(code is not None))
-
-
-def _closing() -> bool:
-    return any(thread.name == CLOSING for thread in threading.enumerate())
+        except (
+            OSError,
+            ValueError,
+        ):  # its reader is gone, its disk full, or it is closed
+            code = code or UNFLUSHED
+    os._exit(code or 0)
