@@ -10,6 +10,7 @@ from zswarm.config.sections import StopConfig
 from zswarm.experiment import Experiment
 from zswarm.system.format import duration, plural
 
+BUDGET_USED = "the budget is used"
 STOPPED = "stopped"  # key of ``meta``
 
 
@@ -69,10 +70,10 @@ class StopWatch:
             return ""
         if stop.evaluations and self._evaluations + last.evaluations > stop.evaluations:
             used = f"{self._evaluations:,} of {plural(stop.evaluations, 'evaluation')}"
-            return f"the budget is used: {used}"
+            return f"{BUDGET_USED}: {used}"
         if stop.simulations and self._simulations + last.simulations > stop.simulations:
             used = f"{self._simulations:,} of {plural(stop.simulations, 'simulation')}"
-            return f"the budget is used: {used}"
+            return f"{BUDGET_USED}: {used}"
         wanted = stop.fitness
         if wanted != "none" and self._best / self._trials >= wanted:
             return f"a candidate has the fitness {wanted:g} that was asked for"

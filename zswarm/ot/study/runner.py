@@ -27,6 +27,7 @@ from zswarm.ot.cluster.watch import NOBODY, NOBODY_YET
 from zswarm.ot.evolution import Evolution
 from zswarm.ot.logger import Forwarder, Logger, Result
 from zswarm.ot.notes import Note, RunEvent
+from zswarm.ot.record import stopping
 from zswarm.ot.record.folder import DATABASE, EXPERIMENT
 from zswarm.ot.study.outcome import RunEnded, StudyLogger
 from zswarm.ot.study.plan import Planned, another
@@ -137,6 +138,7 @@ class Player:
                 if (
                     not running.routine
                     and line != running.repeated
+                    and stopping.BUDGET_USED not in line  # as planned
                     and self._is_new(line)
                 ):
                     running.logger.on_say(line)
