@@ -67,3 +67,17 @@ def test_a_run_with_a_budget_has_room_for_generations(tmp_path: Path) -> None:
     for one, cell in zip(planned[: len(cells)], cells, strict=True):
         assert cell.effort.generations < one.experiment.generations <= 300
         assert one.experiment.stop.simulations == 300
+
+
+def test_settings_with_unequal_trials_are_advised_a_budget_in_simulations(
+    tmp_path: Path,
+) -> None:
+    text = f'{GRID}"problem.trials" = [2, 8]\n'
+    in_evaluations = text.replace("[study]", "[study]\nbudget = { evaluations = 300 }")
+    (warning,) = written(tmp_path, in_evaluations)[0]
+    assert (
+        "for an equal budget set in [study], for example, budget = { simulations = 5"
+        in warning
+    )
+    in_simulations = text.replace("[study]", "[study]\nbudget = { simulations = 2000 }")
+    assert written(tmp_path, in_simulations)[0] == []

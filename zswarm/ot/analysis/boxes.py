@@ -95,7 +95,7 @@ def _dots(axes: Any, drawn: Drawn, size: FigureStyle, *, half: float) -> None:
         markersize=2.2 * size.line,
         alpha=0.6,
         markeredgewidth=0,
-        zorder=4,
+        zorder=6,  # also that of the median
     )
     middle = np.median(numbers)
     axes.hlines(

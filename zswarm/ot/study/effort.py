@@ -96,11 +96,12 @@ def warnings(loaded: Experiment, found: Sequence[Cell]) -> Iterator[str]:
         yield f"{text} does not apply to {'; '.join(names)}: {why}"
     counts = [cell.effort.simulations for cell in found]
     if max(counts) > UNEQUAL * min(counts):
-        least = min(cell.effort.evaluations for cell in found)
+        trials = {cell.experiment.problem.trials for cell in found}
+        unit = "evaluations" if len(trials) == 1 else "simulations"
+        least = min(getattr(cell.effort, unit) for cell in found)
         yield (
             f"the settings use from {min(counts):,} to {plural(max(counts), 'simulation')} a run; "
-            "for an equal budget add to [study], for example, "
-            f"budget = {{ evaluations = {least} }}"
+            f"for an equal budget set in [study], for example, budget = {{ {unit} = {least} }}"
         )
 
 
