@@ -165,7 +165,7 @@ def test_a_mistake_is_named_in_one_line(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "argv", ["zswarm-ot", *arguments])
     with pytest.raises(SystemExit) as ended:
-        cli.main()
+        cli._run()  # ``main`` ends the process
     assert ended.value.code == code
     assert words in only_line(capfd.readouterr().err)
     assert not (tmp_path / "runs").exists()

@@ -12,6 +12,7 @@ from tests.ot.invented_record import written
 from zswarm.config.sections import StopConfig
 from zswarm.errors import ConfigError
 from zswarm.ot.analysis import comparison, curves, grouping
+from zswarm.ot.analysis.compared import compare
 from zswarm.ot.analysis.comparison import Comparison
 from zswarm.ot.analysis.curves import Series
 from zswarm.ot.record.reader import Run
@@ -331,3 +332,11 @@ def test_unequal_effort_is_named_with_the_option_that_makes_it_equal(
     groups["b"] = [run._replace(evaluations=2 * run.evaluations) for run in groups["b"]]
     (note,) = comparison.of_series(groups, "generations").notes
     assert f"different numbers of {unit}; compare --by {unit} gives" in note
+
+
+def test_a_point_of_comparison_is_refused_for_what_whole_runs_did(tmp_path: Path) -> None:
+    runs = {"a": [Run(written(tmp_path, [1.0]))]}
+    with pytest.raises(
+        ConfigError, match=r"^--by evaluations compares the fitness in search"
+    ):
+        compare(runs, "evaluations", "held-out")

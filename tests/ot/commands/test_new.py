@@ -25,7 +25,7 @@ def say(monkeypatch: pytest.MonkeyPatch, folder: Path, *arguments: str) -> int:
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "argv", ["zswarm-ot", *arguments])
     try:
-        cli.main()
+        cli._run()  # ``main`` ends the process
     except SystemExit as ended:
         return int(ended.code or 0)
     return 0

@@ -11,8 +11,11 @@ from click.testing import CliRunner
 from tests.ot.invented_record import written
 from zswarm.controller import load_controller
 from zswarm.errors import ConfigError
+from zswarm.ot.analysis import caveats
 from zswarm.ot.cli import command
+from zswarm.ot.record.reader import Run
 from zswarm.ot.replay.held_out import HeldOutResult
+from zswarm.plugins.version_hash import version_hash
 from zswarm.sims.emergency_exit import EmergencyExit
 
 ALIKE = "every trial was the same: nothing in them depends on the seed"
@@ -122,3 +125,28 @@ def test_other_settings_are_checked(override: str, line: str, tmp_path: Path) ->
     )
     assert isinstance(done.exception, ConfigError)
     assert str(done.exception).startswith(line)
+
+
+def test_a_champion_that_other_code_evolved_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = written(tmp_path, [1])
+    run = Run(folder)
+    assert caveats.other_code(run).startswith(
+        f"The code has changed since this run (version hash {run.meta['version_hash']}"
+    )
+    monkeypatch.setitem(
+        run.meta, "version_hash", version_hash("emergency-exit", "fully-meshed")
+    )
+    assert caveats.other_code(run) == ""
+    said = CliRunner().invoke(command, ["evaluate", str(folder), "--trials", "1"])
+    assert "The code has changed since this run" in said.stderr
+
+
+def test_options_of_the_cluster_are_refused_for_one_run(tmp_path: Path) -> None:
+    """Its champion plays here; those of a study are played on servers, too."""
+    folder = written(tmp_path, [1])
+    with pytest.raises(
+        ConfigError, match=r"^--servers: the champion of one run plays on"
+    ):
+        evaluate(folder, "--servers", "3")

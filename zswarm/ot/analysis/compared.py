@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from zswarm.errors import ConfigError
 from zswarm.ot.analysis import comparison, curves, effect_size, importance, measure
 from zswarm.ot.analysis.comparison import By, Comparison
 from zswarm.ot.analysis.effect_size import Friedman
@@ -42,6 +43,10 @@ def compare(groups: Mapping[str, Sequence[Run]], by: By | None, of: str) -> Comp
         why = "not all of the runs are finished"
         return found._replace(
             importance=found.importance and importance.without(len(runs), why)
+        )
+    if by is not None:
+        raise ConfigError(
+            f"--by {by} compares the fitness in search; --measure {of} is of whole runs"
         )
     values, counted, left_out = measure.values(groups, of)
     loaded, notes = curves.load(counted, search=False)

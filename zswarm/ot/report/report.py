@@ -96,6 +96,7 @@ def of_run(run: Run, trials: int) -> str:
         history=run.history_hash or "",
         history_version=run.history_version,
         caveats=caveats.caveats(run),
+        other_code=caveats.other_code(run),
         **parts,
     )
 

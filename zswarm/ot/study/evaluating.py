@@ -7,6 +7,7 @@ import numpy as np
 
 from zswarm.errors import ConfigError
 from zswarm.ot.analysis import measure
+from zswarm.ot.analysis.caveats import other_code
 from zswarm.ot.analysis.measure import Evaluated
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.problem import Problem
@@ -42,6 +43,8 @@ def evaluate(
                 f"{group}: its candidates play each other; zswarm-ot evaluate RUN --against RUN"
             )
         say(f"{group}: {len(finished)} champions, {trials:,} trials each")
+        if note := other_code(finished[0]):
+            say(f"{group}: {note}")
         genomes = [_genome(run) for run in finished]
         found = connection.outcomes(problem, genomes, seeds=seeds)
         for at, run in enumerate(finished):

@@ -162,7 +162,7 @@ cluster_options = together(
         "--servers",
         metavar="auto|local|N",
         help="auto: this machine's slots and all servers found; local: this machine only; N: wait "
-        "for N servers.",
+        "up to 10 s for N servers.",
     ),
     network_options,
     click.option(
