@@ -22,13 +22,22 @@ BUILD = HERE.parent / "build"
 PYTHON = BUILD / "peers" / "bin" / "python"  # without it, peers are reported as missing
 COMMANDS = {
     script: [f"{script}.py"]
-    for script in ("runs", "populations", "startup", "scaling", "kernels", "dispatch")
+    for script in (
+        "runs",
+        "populations",
+        "startup",
+        "commands",
+        "scaling",
+        "kernels",
+        "dispatch",
+    )
 }
 COMMANDS["scale"] = ["-m", "scale"]
 COMMANDS["many_servers"] = ["many_servers.py"]
 COMMANDS["methods"] = ["methods.py"]
 COMMANDS["noise"] = ["noise.py"]
 ALONE = (
+    "commands",
     "populations",
     "scale",
     "many_servers",

@@ -21,6 +21,7 @@ SCRIPTS = {
     "dispatch": tables.dispatch,
     "kernels": tables.kernels,
     "startup": tables.startup,
+    "commands": tables.commands,
     "scaling": tables.scaling,
     "runs": tables.runs,
     "populations": tables.populations,

@@ -1,11 +1,10 @@
-"""Measure how soon the first result is there, how long commands take, and the memory of programs.
+"""Measure how soon the first result is there, and the memory of programs.
 
 - From pressing return to the first generation of ``zswarm-ot run stadium`` on two slots of this
   machine, each time a new program: with a warm cache of compiled kernels, and with an empty one
   (*cold*).
 - The same of others, on two worker processes: to the first answer of a function that does nothing
 (``dispatch.py``'s).
-- From return to prompt: a run of one generation, and commands that evaluate nothing.
 - Memory during a run: what each program has for itself alone, and with its share of what it
 shares (PSS).
 """
@@ -14,7 +13,6 @@ import argparse
 import contextlib
 import json
 import os
-import shutil
 import statistics
 import subprocess
 import sys
@@ -36,15 +34,6 @@ SLOTS = 2
 CAPACITY = 4  # of the server whose memory is looked at
 WARM_GENERATIONS = 200
 RUN = ["-m", "zswarm.ot", "run", "stadium", "--json"]
-COMMAND_ROUNDS = 9
-LISTED = 200  # runs
-PROGRAM = Path(sys.executable).with_name("zswarm-ot")
-ONE_GENERATION = ["run", "--generations", "1"]  # of stadium, on this machine
-COMPLETION = {  # as a shell asks for it
-    "_ZSWARM_OT_COMPLETE": "bash_complete",
-    "COMP_WORDS": "zswarm-ot re",
-    "COMP_CWORD": "1",
-}
 
 
 def main() -> None:
@@ -92,7 +81,6 @@ def main() -> None:
         {"what": "first result", "of": name, "missing": reason}
         for name, reason in missing.items()
     ]
-    rows += commands(1 if options.quick else COMMAND_ROUNDS)
     rows += memory()
     packages = [package for known in PEERS.values() for package in known.distributions]
     file = machine.write(
@@ -147,53 +135,6 @@ def first_generation(environment: dict[str, str]) -> float:
     with run(*options, environment=environment) as process:
         generation(process)
         return time.perf_counter() - begin
-
-
-def commands(rounds: int) -> list[dict[str, Any]]:
-    """Return how long commands take from return to prompt."""
-    with tempfile.TemporaryDirectory() as folder:
-        seconds(folder, [*ONE_GENERATION, "--out", "listed"])
-        for number in range(LISTED - 1):
-            listed = Path(folder) / "listed"
-            shutil.copytree(listed / "stadium", listed / f"copy-{number}")
-        asked: dict[str, tuple[list[str], dict[str, str]]] = {
-            "a run of one generation": (ONE_GENERATION, {}),
-            "--version": (["--version"], {}),
-            "--help": (["--help"], {}),
-            "completion of a word": ([], COMPLETION),
-            f"list of {LISTED} runs": (["list", "listed"], {}),
-        }
-        times: dict[str, list[float]] = {}
-        for _ in range(rounds):
-            for name, (arguments, more) in asked.items():
-                times.setdefault(name, []).append(seconds(folder, arguments, more))
-    return [
-        {
-            "what": "command",
-            "of": name,
-            "s": statistics.median(all_),
-            "s_least": min(all_),
-            "s_most": max(all_),
-        }
-        for name, all_ in times.items()
-    ]
-
-
-def seconds(
-    folder: str, arguments: list[str], more: dict[str, str] | None = None
-) -> float:
-    """Return the seconds of a command."""
-    begin = time.perf_counter()
-    subprocess.run(
-        [PROGRAM, *arguments],
-        cwd=folder,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        check=True,
-        env=os.environ | (more or {}),
-    )
-    return time.perf_counter() - begin
 
 
 def memory() -> list[dict[str, Any]]:

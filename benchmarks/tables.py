@@ -228,9 +228,8 @@ def many_servers(found: Found) -> str:
 
 
 def startup(found: Found) -> str:
-    """Format first results, then the time of commands, then memory."""
+    """Format first results, then memory."""
     first = [row for row in found["rows"] if row["what"] == "first result" and "s" in row]
-    asked = [row for row in found["rows"] if row["what"] == "command"]
     used = [row for row in found["rows"] if row["what"] == "memory"]
     return (
         markdown(
@@ -238,11 +237,6 @@ def startup(found: Found) -> str:
             [[row["of"], row["how"], spread(row, "s", "{:.2f}".format)] for row in first],
         )
         + missing((row for row in found["rows"] if row["what"] == "first result"), "of")
-        + "\n"
-        + markdown(
-            ["`zswarm-ot`, from return to prompt", "s"],
-            [[row["of"], spread(row, "s", "{:.2f}".format)] for row in asked],
-        )
         + "\n"
         + markdown(
             [
@@ -255,6 +249,14 @@ def startup(found: Found) -> str:
                 for row in used
             ],
         )
+    )
+
+
+def commands(found: Found) -> str:
+    """Format the time of commands."""
+    return markdown(
+        ["`zswarm-ot`, from return to prompt", "s"],
+        [[row["of"], spread(row, "s", "{:.2f}".format)] for row in found["rows"]],
     )
 
 

@@ -19,6 +19,7 @@ BENCHMARKS = REPOSITORY / "benchmarks"
 RESULTS = BENCHMARKS / "results.json"
 SCRIPTS = (
     "bench",
+    "commands",
     "dispatch",
     "methods",
     "many_servers",
