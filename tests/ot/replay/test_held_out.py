@@ -11,10 +11,9 @@ from click.testing import CliRunner
 from tests.ot.invented_record import written
 from zswarm.controller import load_controller
 from zswarm.errors import ConfigError
-from zswarm.ot.analysis import caveats
 from zswarm.ot.cli import command
 from zswarm.ot.record.reader import Run
-from zswarm.ot.replay.held_out import HeldOutResult
+from zswarm.ot.replay.held_out import HeldOutResult, other_code
 from zswarm.plugins.version_hash import version_hash
 from zswarm.sims.emergency_exit import EmergencyExit
 
@@ -132,13 +131,13 @@ def test_a_champion_that_other_code_evolved_is_named(
 ) -> None:
     folder = written(tmp_path, [1])
     run = Run(folder)
-    assert caveats.other_code(run).startswith(
+    assert other_code(run).startswith(
         f"The code has changed since this run (version hash {run.meta['version_hash']}"
     )
     monkeypatch.setitem(
         run.meta, "version_hash", version_hash("emergency-exit", "fully-meshed")
     )
-    assert caveats.other_code(run) == ""
+    assert other_code(run) == ""
     said = CliRunner().invoke(command, ["evaluate", str(folder), "--trials", "1"])
     assert "The code has changed since this run" in said.stderr
 

@@ -1,26 +1,9 @@
 """Caveats that a reader of a run's results has to know."""
 
-from zswarm.errors import ConfigError
 from zswarm.ot.record.epochs import epochs, mark
 from zswarm.ot.record.folder import EXPERIMENT
 from zswarm.ot.record.reader import Run
-from zswarm.plugins.version_hash import version_hash
 from zswarm.system.format import plural
-
-
-def other_code(run: Run) -> str:
-    """Return a sentence if the code has changed since a run, else ""."""
-    complete, theirs = run.experiment, run.meta.get("version_hash")
-    try:
-        ours = version_hash(complete.problem.simulator, complete.representation.kind)
-    except ConfigError:  # it is not installed
-        return ""
-    if theirs in (None, "", ours):
-        return ""
-    return (
-        f"The code has changed since this run (version hash {theirs}, here {ours}): its champion "
-        "may do other things now than it did then."
-    )
 
 
 def caveats(run: Run) -> list[str]:

@@ -85,13 +85,9 @@ def command(
             raise ConfigError("--against and --set are for the champion of one run")
         _study(path, trials, seed or 0, cluster, csv, as_json=as_json)
         return
-    from zswarm.ot.analysis import caveats
-    from zswarm.ot.record.reader import Run
     from zswarm.ot.replay import held_out
 
-    if given := [name for name, value in cluster.items() if value not in (None, ())]:
-        option = f"--{given[0].replace('_', '-')}"
-        raise ConfigError(f"{option}: the champion of one run plays on this machine only")
+    _refuse(cluster)
     loaded = [load_controller(each) for each in (path, against) if each is not None]
     controllers = [
         msgspec.structs.replace(
@@ -104,9 +100,7 @@ def command(
     ]
     controller, opponent = controllers[0], controllers[1] if against is not None else None
     played = held_out.play(controller, trials, seed or 0, opponent)
-    for run in (each for each in (path, against) if each is not None and each.is_dir()):
-        if note := caveats.other_code(Run(run)):
-            tables.paragraph(note, stderr=True)
+    _warn(path, against)
     fitness, metrics = played.fitness_summary(), played.metric_means()
     if csv:
         _save(csv, played)
@@ -116,6 +110,23 @@ def command(
         return
     if csv != "-":
         _show(played, controller, opponent)
+
+
+def _refuse(cluster: dict[str, Any]) -> None:
+    """Refuse options of a study for one run."""
+    if given := [name for name, value in cluster.items() if value not in (None, ())]:
+        option = f"--{given[0].replace('_', '-')}"
+        raise ConfigError(f"{option}: the champion of one run plays on this machine only")
+
+
+def _warn(*paths: Path | None) -> None:
+    """Name the runs that other code evolved."""
+    from zswarm.ot.record.reader import Run
+    from zswarm.ot.replay.held_out import other_code
+
+    for path in paths:
+        if path is not None and path.is_dir() and (note := other_code(Run(path))):
+            tables.paragraph(note, stderr=True)
 
 
 def _save(csv: str, played: "HeldOutResult") -> None:

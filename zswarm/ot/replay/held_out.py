@@ -8,6 +8,8 @@ from zswarm import evaluate
 from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import derive_seed
+from zswarm.ot.record.reader import Run
+from zswarm.plugins.version_hash import version_hash
 from zswarm.system.text import clean
 
 CHUNK = 500  # trials
@@ -98,6 +100,21 @@ def play(
     results = np.empty_like(fitness)
     results[np.arange(trials)[:, None], places] = fitness
     return HeldOutResult(results, metrics, tuple(simulator.metrics))
+
+
+def other_code(run: Run) -> str:
+    """Return a sentence if the code has changed since a run, else ""."""
+    complete, theirs = run.experiment, run.meta.get("version_hash")
+    try:
+        ours = version_hash(complete.problem.simulator, complete.representation.kind)
+    except ConfigError:  # it is not installed
+        return ""
+    if theirs in (None, "", ours):
+        return ""
+    return (
+        f"The code has changed since this run (version hash {theirs}, here {ours}): its champion "
+        "may do other things now than it did then."
+    )
 
 
 def trial_seed(seed: int, trial: int) -> int:

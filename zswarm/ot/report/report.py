@@ -25,6 +25,7 @@ from zswarm.ot.notes import RunEvent
 from zswarm.ot.record.folder import EXPERIMENT
 from zswarm.ot.record.reader import Row, Run
 from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.replay import held_out
 from zswarm.ot.report import champion as champions
 from zswarm.ot.report.settings import settings_rows
 from zswarm.system.extras import need
@@ -96,7 +97,7 @@ def of_run(run: Run, trials: int) -> str:
         history=run.history_hash or "",
         history_version=run.history_version,
         caveats=caveats.caveats(run),
-        other_code=caveats.other_code(run),
+        other_code=held_out.other_code(run),
         **parts,
     )
 

@@ -7,12 +7,11 @@ import numpy as np
 
 from zswarm.errors import ConfigError
 from zswarm.ot.analysis import measure
-from zswarm.ot.analysis.caveats import other_code
 from zswarm.ot.analysis.measure import Evaluated
 from zswarm.ot.cluster.connection import Connection
 from zswarm.ot.problem import Problem
 from zswarm.ot.record.reader import Run
-from zswarm.ot.replay.held_out import trial_seed
+from zswarm.ot.replay.held_out import other_code, trial_seed
 
 
 def evaluate(
