@@ -15,7 +15,7 @@ QUICK = {  # target: what it runs, small
     "bench-methods": ["benchmarks/bench.py", "--quick", "--only", "methods"],
     "bench-noise": ["benchmarks/bench.py", "--quick", "--only", "noise"],
     "bench-quick": ["benchmarks/ratios.py", "--once"],
-    "chaos": ["-m", "tests.chaos", "--seconds", "5"],
+    "chaos": ["-m", "tests.chaos", "--first", "1000", "--seconds", "5"],
     "soak": ["benchmarks/soak.py", "--quick"],
 }
 ELSEWHERE = {  # target: what checks it

@@ -27,6 +27,7 @@ def main() -> int:
     """Run the program and return its exit code."""
     parser = argparse.ArgumentParser(prog="make chaos", description=__doc__)
     parser.add_argument("--seed", type=int, help="replay this one schedule")
+    parser.add_argument("--first", type=int, help="of many schedules [default: random]")
     parser.add_argument("--seconds", type=float, default=300.0, help="how long to look")
     options = parser.parse_args()
     if options.seed is not None:
@@ -35,7 +36,8 @@ def main() -> int:
             f"seed {options.seed}: every rule held, {world.now:.0f} s of simulated time"
         )
         return 0
-    base, begin, played = secrets.randbits(48), time.monotonic(), 0
+    base = secrets.randbits(48) if options.first is None else options.first
+    begin, played = time.monotonic(), 0
     print(f"schedules from {base} on, for {options.seconds:g} s")
     with concurrent.futures.ProcessPoolExecutor() as pool:
         while time.monotonic() - begin < options.seconds:
