@@ -159,7 +159,7 @@ def test_the_watchdog_is_fed_unless_a_slot_is_unresponsive(
     systemd.forget()
     assert not systemd.heard("WATCHDOG=1", WATCHDOG_S), "systemd is to end it"
     assert any(
-        f"slot {missed['slots'][0]}: its killed process" in word
+        f"slot {missed['slots'][0]}: {missed['reason']}" in word
         for _, word in systemd.words
     )
     shown = view(scene.folder)
