@@ -34,9 +34,6 @@ def run(main: Callable[[], None]) -> None:
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()
-        except (
-            OSError,
-            ValueError,
-        ):  # its reader is gone, its disk full, or it is closed
+        except (OSError, ValueError):  # no reader, a full disk, or closed
             code = code or UNFLUSHED
     os._exit(code or 0)
