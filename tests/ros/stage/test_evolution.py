@@ -140,7 +140,9 @@ def run(folder: Path, *capacities: int, kill: bool = False) -> dict[str, Any]:
             server.kill(signal.SIGTERM)
             server.wait()
     assert len(died) == kill, died
-    assert all("simulation" in reason for reason in died), died
+    # The other server may have the trial's result first: then the slot is told to stop, and cannot.
+    told = "it did not stop in time"
+    assert all("simulation" in reason or reason == told for reason in died), died
     assert query(folder / "runs" / "stage", "SELECT count(*) FROM generations") == [(10,)]
     started = [Path("/proc", pid) for pid in (folder / "started").read_text().split()]
     wait_until(
