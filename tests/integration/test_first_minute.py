@@ -3,12 +3,13 @@
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
 
 from tests.integration.programs import Optimizer, Server
-from zswarm import experiment
+from zswarm.config.sections import ClusterConfig
 from zswarm.ot.commands import run
 
 pytestmark = pytest.mark.programs
@@ -75,15 +76,17 @@ def test_a_cold_run_reports_the_kernels_that_it_compiles(tmp_path: Path) -> None
 def test_a_run_without_an_argument_uses_this_machine_only(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It names the servers that it finds; ``--servers auto`` uses them."""
+    """It names the servers that it finds meanwhile; ``--servers auto`` uses them."""
     server = Server(tmp_path, "lab-07", capacity=1).ready()
+    reach = ClusterConfig(connect=[server.endpoint], multicast=False)
     try:
-        path = experiment.find(run.EXAMPLE)
-        changes = [f'cluster.connect=["{server.endpoint}"]', "cluster.multicast=false"]
-        loaded = run.on_this_machine(experiment.load(path, changes))
+        with run.naming_unused_servers(reach):
+            searching = [
+                each for each in threading.enumerate() if each.name == run.SEARCHER
+            ]
+            searching[0].join()
     finally:
         server.close()
-    assert loaded.cluster.servers == "local"
     said = capsys.readouterr().err
     assert said.startswith("1 server found: lab-07-")
     assert "zswarm-ot run --servers auto" in said

@@ -1,21 +1,30 @@
 """``zswarm-ot run``: evolve a controller."""
 
 import contextlib
+import threading
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from zswarm import experiment
-from zswarm.config.sections import MAX_RUNS
+from zswarm.config.sections import MAX_RUNS, ClusterConfig
 from zswarm.errors import ConfigError
 from zswarm.experiment import LAST_SEED, Experiment
 from zswarm.ot.commands.shared import options, suggestions
+from zswarm.system.format import plural
 from zswarm.system.text import clean
+
+if TYPE_CHECKING:
+    from zswarm.ot.study.study import Study
 
 MENU = ("Evolve", 1)
 EXAMPLE = "stadium"  # that is run if none is named
-SEARCH_S = 1.0  # for servers that such a run does not use
+SEARCHER, SEARCH_S = (
+    "search",
+    1.0,
+)  # the thread that finds servers that such a run does not use
 
 
 @click.command("run")
@@ -81,17 +90,17 @@ def command(
     given = {"seed": seed, "generations": generations, "study.repeat": repeat}
     given |= {"optimizer.population": population, "problem.trials": trials}
     loaded = _load(path, overrides, given, cluster)
-    if name is None and not _about_servers(overrides, cluster):
-        loaded = on_this_machine(loaded)
     errors = options.blamed(overrides, path)
     shown = {"as_json": as_json, "with_dashboard": with_dashboard}
-    with playing.figures() as folders, Connection(loaded.cluster) as connection, errors:
+    with contextlib.ExitStack() as stack:
+        folders = stack.enter_context(playing.figures())
+        if name is None and not _about_servers(overrides, cluster):
+            stack.enter_context(naming_unused_servers(loaded.cluster))
+            loaded = options.with_cluster(loaded, {"servers": "local"})
+        connection = stack.enter_context(Connection(loaded.cluster))
+        stack.enter_context(errors)
         if loaded.study.runs() > 1 or loaded.study.varies():
-            from zswarm.ot.study import effort_table
-            from zswarm.ot.study.study import Study
-
-            with Study.create(loaded, str(path), out) as study:
-                effort_table.announce(loaded, study.cells, study.experiment.study.repeat)
+            with _study(loaded, path, out) as study:
                 settle(study.folder)
                 playing.play(study, connection, folders, **shown)
             return
@@ -100,6 +109,16 @@ def command(
             folders.append(run.folder)
             settle(run.folder)
             playing.finish(run, logger, with_dashboard=with_dashboard)
+
+
+def _study(loaded: Experiment, path: Path, out: Path) -> "Study":
+    """Return a new study, after its effort was shown."""
+    from zswarm.ot.study import effort_table
+    from zswarm.ot.study.study import Study
+
+    study = Study.create(loaded, str(path), out)
+    effort_table.announce(loaded, study.cells, study.experiment.study.repeat)
+    return study
 
 
 def _load(
@@ -119,18 +138,22 @@ def _about_servers(overrides: tuple[str, ...], cluster: dict[str, Any]) -> bool:
     return bool(given) or any(key.strip().startswith("cluster.") for key in overrides)
 
 
-def on_this_machine(loaded: Experiment) -> Experiment:
-    """Return an experiment that uses this machine only; name the servers that it would find."""
-    from zswarm.ot.cluster import discovery
-    from zswarm.ot.cluster.connection import Connection
-    from zswarm.system.format import plural
+@contextlib.contextmanager
+def naming_unused_servers(cluster: ClusterConfig) -> Iterator[None]:
+    """Name the servers that were found meanwhile, in a block that uses this machine only."""
+    found: list[str] = []
 
-    found = []
-    with contextlib.suppress(ConfigError):  # keys that cannot be used: it needs none
-        reach = Connection(loaded.cluster).reach
-        found = discovery.names(loaded.cluster.realm, reach, wait_s=SEARCH_S)
+    def search() -> None:
+        from zswarm.ot.cluster import discovery
+        from zswarm.ot.cluster.connection import Connection
+
+        with contextlib.suppress(ConfigError):  # keys that cannot be used: it needs none
+            reach = Connection(cluster).reach
+            found.extend(discovery.names(cluster.realm, reach, wait_s=SEARCH_S))
+
+    threading.Thread(target=search, name=SEARCHER, daemon=True).start()
+    yield
     if found:
         servers = f"{plural(len(found), 'server')} found: {', '.join(map(clean, found))}"
         hint = "to use other machines, too: zswarm-ot run --servers auto"
         click.echo(f"{servers}; {hint}", err=True)
-    return options.with_cluster(loaded, {"servers": "local"})
