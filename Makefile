@@ -6,6 +6,7 @@ TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neig
 
 KILLS ?= 200
 THIRD_PARTY ?= ../shared/third-party
+unexport PYTHONDONTWRITEBYTECODE  # each program would compile again all that it imports
 
 .PHONY: environment run test long attacks fuzz programs product vmas browser robots rest chaos faults machines units kills stage bits-everywhere lint format docs docs-commands reference bench bench-quick bench-methods bench-noise benchmarks paper scale soak clean
 
@@ -178,4 +179,5 @@ build/peers/ready: pyproject.toml benchmarks/requirements.txt
 	    build/peers/bin/python -m pip install --quiet --disable-pip-version-check $$peer 2> build/peers/said || \
 	        { grep '^ERROR' build/peers/said | tail -n 1 > "build/peers/$$name.refused"; cat "build/peers/$$name.refused"; }; \
 	done
+	@build/peers/bin/python -m compileall -qq -j 0 build/peers/lib || true  # uv does not, and times would have it
 	@ls build/peers/*.refused >/dev/null 2>&1 || touch $@

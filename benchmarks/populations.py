@@ -36,6 +36,7 @@ def main() -> None:
             [sys.executable, HERE / "large_genomes.py", *map(str, asked)],
             stdout=subprocess.PIPE,
             check=True,
+            cwd=machine.RESULTS,  # the folder of the run is there, on a real disk
         ).stdout
         found = json.loads(said)
         rows.append(
