@@ -3,7 +3,8 @@
 A run wants as many slots as it has trials at once, or ``max_slots`` if these are fewer, of all
 servers together. It asks
 
-- the servers that rank first by ``[cluster] rank``; without a ranking those with free slots,
+- the servers with the fewest setbacks since they sent an outcome,
+- of these the ones that rank first by ``[cluster] rank``; without a ranking those with free slots,
 - of equal ones first this machine's, which no other run can use, then in an order that is another
   one for each run, so that runs do not meet on the same servers,
 - and further ones while those that it asked grant fewer slots than it wants. Servers without a free
@@ -135,7 +136,8 @@ class Allotment(msgspec.Struct, eq=False):
         return min(server.capacity, most)
 
     def _order(self, server: RemoteServer) -> tuple[object, ...]:
-        return self._full(server), server.place, not server.own, server.lot, server.id
+        first = server.setbacks, self._full(server), server.place, not server.own
+        return *first, server.lot, server.id
 
     def _full(self, server: RemoteServer) -> bool:
         return not server.free and not self.terms.choice.rank

@@ -110,7 +110,10 @@ class Batches(msgspec.Struct, eq=False):
             self._forget_stranded(server)
         if server.phase == Phase.BANNED and self.workload is not None:
             trials = self.workload.retract(server.id)
-            self.checks.drop(trials.tolist())
+            servers = self.servers.by_id.values()
+            sent = [batch for one in servers for batch in one.batches.values()]
+            for ended in self.checks.retracted(trials.tolist(), sent):
+                self._overtaken(ended)
             self.uncounted += len(trials)
             self.requeue(QueuedTrials(trials))
 
@@ -356,14 +359,14 @@ class Batches(msgspec.Struct, eq=False):
             self.blamed.append(batch.server.machine)
             return
         ready = {one.machine for one in self.servers.roster.ready.values()}
-        machines = self.second.failed(trial, batch.server.machine, ready)
+        machines = self.second.failed(trial, batch.server.machine, ready - batch.avoid)
         said = f"{text} ({which}, attempt {len(machines)})"
         self.out.note(RunEvent.FAULT, server, said)
         if elsewhere:
             return
         failed = rest[rest == trial]
         if len(machines) < ATTEMPTS:
-            self.requeue(QueuedTrials(failed, frozenset(machines)))
+            self.requeue(QueuedTrials(failed, batch.avoid.union(machines)))
         elif self.terms.quarantine:
             workload.faulted[trial] = True
             self._count_once(failed, "", 0.0)

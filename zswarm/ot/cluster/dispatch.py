@@ -239,6 +239,8 @@ class Dispatch:
         if batch.heard.sum() > heard:
             batches.schedule.be_patient(batch)
         elif now > batch.give_up_at:
+            for stalled in (batch, *batch.server.batches.values()):
+                stalled.avoid |= {batch.server.machine}
             batches.give_back(batch)
             trials = plural(batch.missing, "trial")
             time = duration(now - batch.sent_at)

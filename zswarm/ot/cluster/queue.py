@@ -13,7 +13,8 @@ class QueuedTrials(msgspec.Struct, eq=False):
     """Trials that wait, as indices into the workload."""
 
     trials: np.ndarray
-    avoid: frozenset[str] = frozenset()  # machines on which one of them ended in a fault
+    # Machines on which one of them ended in a fault, or that had them too long.
+    avoid: frozenset[str] = frozenset()
     # Their batch, which a server may still have. It resumes the batch as a whole, unless another
     # server took some of these trials: a batch can only be cancelled as a whole.
     stranded: SentBatch | None = None

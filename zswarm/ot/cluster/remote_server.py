@@ -108,7 +108,7 @@ class SentBatch(msgspec.Struct, eq=False):
     trials: np.ndarray
     done: np.ndarray  # (trials,) bool: the outcome came
     missing: int  # trials whose outcome did not come
-    avoid: frozenset[str] = frozenset()  # machines on which one of them ended in a fault
+    avoid: frozenset[str] = frozenset()  # machines, as in QueuedTrials
     check: bool = False  # they are counted already, and evaluated again for comparison
     question: int = 0  # the query that asked for it last
     asked: Literal["", "whole", "by-id"] = ""  # how it was asked for last

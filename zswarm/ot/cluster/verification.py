@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 import msgspec
 import numpy as np
 
-from zswarm.ot.cluster.remote_server import RemoteServer
+from zswarm.ot.cluster.remote_server import RemoteServer, SentBatch
 from zswarm.ot.workload import Workload, one_nan
 
 # Its multiples are evenly distributed in 0..1: no pattern of trials escapes.
@@ -85,6 +85,21 @@ class Checks(msgspec.Struct, eq=False):
             for trial in of_server:
                 if trial in self.open:
                     self._wait(trial, server)
+
+    def retracted(self, trials: list[int], sent: Iterable[SentBatch]) -> list[SentBatch]:
+        """Drop trials that are to be evaluated again, also from batches that verify them.
+
+        Return the batches of which nothing is awaited any more: they are to be cancelled.
+        """
+        self.drop(trials)
+        ended = []
+        for batch in sent:
+            dropped = {*trials} & {*batch.rest().tolist()} if batch.check else ()
+            for trial in dropped:
+                batch.drop(trial)
+            if dropped and not batch.missing:
+                ended.append(batch)
+        return ended
 
     def drop_alone(self, servers: Iterable[RemoteServer]) -> bool:
         """Drop the waiting trials for which none of these servers is of a second machine."""

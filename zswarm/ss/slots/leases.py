@@ -26,7 +26,7 @@ proof of a lease takes it over, or ends the program that holds it; a lease of an
 which has no proof, is taken over by the epoch alone.
 """
 
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -247,7 +247,12 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
             return
         rights, shares = self.sharing.shares(self.values(), len(slots), self._out.now)
         free += self._take_back(shares, slots, len(free))
+        surplus: Counter[str] = Counter()
         for lease, share in shares.items():
+            surplus[lease.user] += len(lease.slots) - share
+        # Who still has slots that are to be given back when a chunk ends comes after others.
+        for lease in sorted(shares, key=lambda lease: surplus[lease.user]):
+            share = shares[lease]
             known = {slot.index for slot in free if lease.prepared(slot)}
             free.sort(key=lambda slot: (slot.index not in known, slot.index))
             while free and len(lease.slots) < share:
