@@ -8,15 +8,18 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
 from tests.evaluated_record import SHORT, played
 from tests.ot.record.sealing import reseal
 from zswarm import evaluate
+from zswarm.controller import CHAMPION, Controller
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream
 from zswarm.ot.record.reader import Run
+from zswarm.ot.replay import steps
 from zswarm.ot.replay.encoding import LEVELS, MAGIC, STEPS, TURN, encode
 from zswarm.ot.replay.trace import Trace, record, trace
 from zswarm.sims.minisim import Minisim
@@ -109,6 +112,31 @@ def test_the_default_trace_is_of_the_best_candidate_of_the_run(folder: Path) -> 
         -candidate,
         0,
     )
+
+
+def test_the_default_trace_is_of_the_champion_where_another_one_is_the_best(
+    folder: Path, tmp_path: Path
+) -> None:
+    """An assessment may choose another one than the best in search; it is what is exported."""
+    run = changed(folder, tmp_path / "run", "SELECT 1")
+    genome = run.candidates(0)[3]["genome"]
+    champion = Controller(
+        simulator="minisim",
+        simulator_settings={},
+        representation="fully-meshed",
+        representation_settings={},
+        inputs=1,
+        outputs=1,
+        sensors=[],
+        actuators=[],
+        genome=genome,
+        fitness=0.0,
+        run="minisim",
+    )
+    (tmp_path / "run" / CHAMPION).write_bytes(msgspec.msgpack.encode(champion))
+    about = trace(run).about
+    assert (about["generation"], about["candidate"]) == (0, 3)
+    assert steps.choose(run, None, None, 0).trials == [(0, 0)]
 
 
 def test_a_genome_of_which_one_bit_differs_is_another_trial(

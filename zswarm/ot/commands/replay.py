@@ -38,8 +38,7 @@ LARGEST = 256 << 20  # bytes of the traces of a page
     "--generation",
     "given",
     multiple=True,
-    help="Generation, from 1; of two runs one for each may be given.  [default: the one in which "
-    "the best was found]",
+    help="Generation, from 1; of two runs one for each may be given.  [default: the champion's]",
 )
 @options.candidate_option
 @options.number_option(

@@ -7,6 +7,7 @@ import msgspec
 
 from zswarm.controller import CHAMPION, Controller, load_controller
 from zswarm.errors import ConfigError
+from zswarm.ot.record.history_hash import digest
 from zswarm.ot.record.reader import NAMES, Row, Run, cleaned
 from zswarm.system.text import clean
 
@@ -29,6 +30,29 @@ def generation_of(run: Run, generation: int | None) -> int:
             f"{run.shown}: no generation {generation + 1}; {available('generation', count, 1)}"
         )
     return generation
+
+
+def place_of(
+    run: Run, generation: int | None, candidate: int | None
+) -> tuple[int, int | None]:
+    """Return generation and candidate, from 0; without both those of the champion.
+
+    The champion is the candidate that the assessment chose, where there was one; it may be another
+    one than the best in search. A candidate of None is the best of the generation.
+
+    Raises:
+        ConfigError: the run has no such generation, or its champion's file is damaged.
+    """
+    if generation is None and candidate is None and (champion := run.champion()):
+        rows = run.rows(
+            "SELECT generation, candidate FROM candidates WHERE digest = ? "
+            "AND genome IS NOT NULL ORDER BY generation, candidate LIMIT 1",
+            tuple[int, int],
+            digest(champion.genome),
+        )
+        if rows:
+            return rows[0]
+    return generation_of(run, generation), candidate
 
 
 def candidate_of(

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from zswarm.errors import ConfigError
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.selection import available, generation_of
+from zswarm.ot.record.selection import available, generation_of, place_of
 from zswarm.ot.replay import trace as again
 from zswarm.ot.replay.trace import Trace
 
@@ -45,7 +45,7 @@ def choose(
 
     Args:
         generation: the one to begin with, from 0; None: the one that found the best.
-        candidate: from 0; None: the best of each generation.
+        candidate: from 0; None: the best of each generation. Without generations: the champion.
         trial: the one to begin with, from 0.
         generations: "all", "rising" (those in which the best rose), or numbers from 1.
         trials: take all trials of each candidate.
@@ -53,8 +53,11 @@ def choose(
     Raises:
         ConfigError: the run has no such generation, or there are too many trials.
     """
-    first = generation_of(run, generation)
-    listed = [first] if generations is None else _listed(run, generations)
+    if generations is None:
+        first, candidate = place_of(run, generation, candidate)
+        listed = [first]
+    else:
+        first, listed = generation_of(run, generation), _listed(run, generations)
     if generation is not None and first not in listed:
         raise ConfigError(
             f"--generation {first + 1} is not one of --generations {generations}"

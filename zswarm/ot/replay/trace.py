@@ -23,8 +23,8 @@ from zswarm.ot.record.reader import Run
 from zswarm.ot.record.selection import (
     available,
     candidate_of,
-    generation_of,
     genome_of,
+    place_of,
 )
 from zswarm.plugins.used_settings import used_settings
 from zswarm.plugins.version_hash import version_hash
@@ -88,14 +88,14 @@ def trace(
 
     Args:
         generation: a finished one, from 0; None: the one that found the best.
-        candidate: from 0, in the order asked; None: the best.
+        candidate: from 0, in the order asked; None: the best. Without both: the champion.
         trial: from 0; in tournaments it counts through all games of the candidate.
 
     Raises:
         ConfigError: the run has no such trial, or this program computes it differently.
         EvaluationError: the simulator's program ended.
     """
-    generation = generation_of(run, generation)
+    generation, candidate = place_of(run, generation, candidate)
     candidates = {one["candidate"]: one for one in run.candidates(generation)}
     candidate = candidate_of(run, generation, candidates, candidate)
     problem = Problem(run.experiment)

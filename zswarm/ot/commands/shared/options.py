@@ -138,7 +138,9 @@ label_option = click.option(
     help="Another name for a group; may be repeated.",
 )
 candidate_option = number_option(
-    "--candidate", help="Candidate of the generation, from 0.  [default: the best]"
+    "--candidate",
+    help="Candidate of the generation, from 0.  [default: the best; without "
+    "--generation, the champion]",
 )
 MULTICAST = "Find servers by multicast.  [default: multicast]"
 # Those that change an experiment's ``[cluster]``: where its servers are, and all of them.
