@@ -17,7 +17,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from tests.integration.lab import Lab
-from tests.integration.programs import Optimizer, Server, wait_until
+from tests.integration.programs import Optimizer, Server, free_port, wait_until
 from zswarm.kernels import cache
 from zswarm.ot.doctor import machine, network
 from zswarm.ot.doctor.examination import examine
@@ -356,3 +356,32 @@ def test_a_local_run_does_not_wait_for_servers(tmp_path: Path) -> None:
     finally:
         started.kill(signal.SIGINT)
         assert started.wait() == 130
+
+
+def test_an_endpoint_where_nothing_listens_is_named_though_a_server_is_found(
+    tmp_path: Path,
+) -> None:
+    """By ``servers``, ``doctor`` and a run that goes on meanwhile."""
+    dead = f"tcp/127.0.0.1:{free_port()}"
+    server = Server(tmp_path, "ss", capacity=1)
+    ends = [server.ready().endpoint, dead]
+    reach = ["--no-multicast", *(word for end in ends for word in ("--connect", end))]
+    line = f"{dead}: nothing listens there (connection refused)"
+    try:
+        asked = [sys.executable, "-m", "zswarm.ot", "servers", *reach]
+        listed = subprocess.run(asked, capture_output=True, text=True, check=True)
+        assert "1 server, 1 slot" in listed.stdout
+        assert line in " ".join(listed.stdout.split())
+        found = network.servers("default", Reach(ends, multicast=False))
+        assert states(found) == ["warning", "ok"]
+        optimizer = Optimizer(
+            tmp_path,
+            "ot",
+            ["run", "stadium", "--generations", "1000000", "--servers", "1", *reach],
+        )
+        try:
+            wait_until(lambda: line in optimizer.err.read_text(), "the run names it")
+        finally:
+            optimizer.close()
+    finally:
+        server.close()

@@ -74,13 +74,28 @@ def diagnose(
             lines += _no_multicast(reach, tcp, answered=bool(seen))
     with ThreadPoolExecutor(16) as pool:
         results = list(pool.map(partial(_dial, ring=reach.keyring), groups))
-    faults: defaultdict[str, list[str]] = defaultdict(list)
+    faults = []
     for result in results:
         seen |= result.servers
-        if fault := result.fault or _misplaced(result, realm, set(known), reach):
-            faults[fault].append(result.at)
-    lines += [f"{_some(ends)}: {fault}" for fault, ends in faults.items()]
-    return lines + _not_used(seen, realm)
+        fault = result.fault or _misplaced(result, realm, set(known), reach)
+        faults.append((result.at, fault))
+    return lines + _by_fault(faults) + _not_used(seen, realm)
+
+
+def unreachable(reach: Reach) -> list[str]:
+    """Return which endpoints of ``connect`` cannot be dialled, and why, a line each."""
+    with ThreadPoolExecutor(16) as pool:
+        faults = list(pool.map(_unreachable, map(endpoint.parse, reach.connect)))
+    return _by_fault(zip(reach.connect, faults, strict=True))
+
+
+def _by_fault(found: Iterable[tuple[str, str]]) -> list[str]:
+    """Return a line for each fault with the endpoints that have it."""
+    faults: defaultdict[str, list[str]] = defaultdict(list)
+    for at, fault in found:
+        if fault:
+            faults[fault].append(at)
+    return [f"{_some(ends)}: {fault}" for fault, ends in faults.items()]
 
 
 def _no_multicast(reach: Reach, tcp: str, *, answered: bool) -> list[str]:

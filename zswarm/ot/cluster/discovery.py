@@ -50,7 +50,9 @@ class Survey(NamedTuple):
 
     servers: list[Found]  # of the realm
     elsewhere: dict[str, int]  # number of servers in other realms, by realm
-    findings: list[str]  # why no server was found, a line each
+    findings: list[
+        str
+    ]  # why servers that were named, or all, were not found, a line each
 
 
 def survey(
@@ -64,7 +66,7 @@ def survey(
         return Survey([], {}, diagnose([], reach))
     try:
         tokens, found = _ask_all(opened, realm, requirements, wait_s)
-        findings = [] if found else diagnose([opened], reach)
+        findings = diagnosis.unreachable(reach) if found else diagnose([opened], reach)
     finally:
         session.close(opened)
     others = Counter(

@@ -33,8 +33,8 @@ if TYPE_CHECKING:
 
 FLUSH_S = 0.1  # a waiting caller gets a None this often
 MAX_HELD_BACK = 100  # commands for the caller that are held back while more events wait
-# With this machine's slots only, before it is diagnosed where the servers in ``connect`` are.
-ALONE_S = 5.0
+# From the beginning, before it is diagnosed where the servers in ``connect`` are.
+DIALLED_S = 5.0
 
 Item = Counted | Retracted | Note
 Dispute = events.Disputed | events.ProbeDisputed
@@ -84,8 +84,8 @@ class Cluster:
             failed=self._stop,
             slots=self._slots,
         )
-        self._alone = threading.Timer(ALONE_S, self._on_alone)
-        self._alone.daemon = True
+        self._dialled = threading.Timer(DIALLED_S, self._on_dialled)
+        self._dialled.daemon = True
         # Of the state: the dispatch, and all up to the outbox.
         self._owner = threading.Lock()
         self._inbox: queue.SimpleQueue[Event | None] = queue.SimpleQueue()
@@ -103,8 +103,8 @@ class Cluster:
         except BaseException:  # __exit__ is not called then, not even after Ctrl-C
             self._links.close()
             raise
-        if self._local and self._reach.connect:
-            self._alone.start()
+        if self._reach.connect:
+            self._dialled.start()
         self._thread = threading.Thread(target=self._work, name="dispatch", daemon=True)
         self._thread.start()
         return self
@@ -113,7 +113,7 @@ class Cluster:
         self._inbox.put(events.Leave())
         self._inbox.put(None)
         self._thread.join(RELEASE_S)
-        self._alone.cancel()
+        self._dialled.cancel()
         self._links.close()
 
     # ---- the caller's thread
@@ -230,8 +230,11 @@ class Cluster:
         known = self._dispatch.servers.by_id.get(server)
         return known.slots if known is not None else 1
 
-    def _on_alone(self) -> None:
-        if set(self._links.home) <= self._links.own:
+    def _on_dialled(self) -> None:
+        if set(self._links.home) - self._links.own:
+            for line in diagnosis.unreachable(self._reach):
+                self._post(Note(RunEvent.DIAGNOSIS, "", line))
+        elif self._local:
             self.diagnose()
 
     # ---- the owner of the state

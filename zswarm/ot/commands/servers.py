@@ -114,6 +114,8 @@ def show(
             tables.paragraph(line)
         for line in () if name else _details(survey.servers):
             tables.paragraph(line)
+    for finding in survey.findings:
+        tables.paragraph(f"- {finding}", stderr=as_json)
     if survey.elsewhere:
         others = ", ".join(
             f"{realm} ({count})" for realm, count in survey.elsewhere.items()

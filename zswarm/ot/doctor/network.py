@@ -203,9 +203,8 @@ def servers(realm: str, reach: Reach, simulators: Requirements | None = None) ->
             f"none found in realm {realm}: only this machine's slots compute",
             f"start zswarm-ss on other machines; if it runs there: {DOCUMENT}",
         )
-        for line in survey.findings:
-            yield warning(clean(line), f'see {DOCUMENT}, "Diagnosis"')
-        return
+    for line in survey.findings:
+        yield warning(clean(line), f'see {DOCUMENT}, "Diagnosis"')
     offers = [each for each in survey.servers if each.offer and not each.offer.mismatch]
     if offers:
         slots = plural(sum(each.offer.capacity for each in offers if each.offer), "slot")
