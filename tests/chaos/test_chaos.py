@@ -27,6 +27,20 @@ RARE = {
 
 
 @pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(8474590806985, id="a-stalled-server-is-asked-for-slots-first"),
+        pytest.param(250336794969056, id="what-failed-waits-for-a-stalled-server"),
+        pytest.param(40994407654989, id="a-machine-verifies-itself-after-a-ban"),
+        pytest.param(19267978361669, id="who-has-too-many-slots-gets-a-free-one"),
+    ],
+)
+def test_rare_faults_stay_mended(seed: int) -> None:
+    """About one schedule in a thousand shows one of these."""
+    play(seed)
+
+
+@pytest.mark.parametrize(
     "first",
     [
         *range(0, SOME, CHUNK),
