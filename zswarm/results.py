@@ -124,7 +124,7 @@ def tidy(
 
 def plot(
     *runs: Folder | Run,
-    x: "Axis" = "generation",
+    x: "Axis | None" = None,
     size: "Size" = "column",
     title: str = "",
     lowest: float | None = None,
@@ -137,7 +137,8 @@ def plot(
 
     Args:
         runs: runs, their folders, or folders that contain runs.
-        x: the horizontal axis: "generation", "evaluations" or "time".
+        x: the horizontal axis: "generation", "evaluations", "simulations" or "time". None: what all
+            runs have a budget of, as in ``compare``, else generations.
         size: "column" or "page" of a paper, or "slides".
         title: above the figure.
         lowest: lower limit of the fitness axis.
@@ -157,17 +158,19 @@ def plot(
         seeds = [zswarm.run(zswarm.load("stadium", {"seed": seed})) for seed in range(5)]
         zswarm.plot(*seeds).savefig("stadium.pdf")
     """
-    from zswarm.ot.analysis import archive, boxes, compared, curves, figures
+    from zswarm.ot.analysis import archive, boxes, compared, curves, figures, picture
     from zswarm.ot.analysis.drawing import SIZES
 
     groups = _groups(runs, labels, "plot")
+    members = [run for each in groups.values() for run in each]
     if kind == "curves":
         loaded, _ = curves.load(groups)
-        made = figures.of_series(loaded, x, size, title, lowest, style)
+        axis = x or picture.usual_axis(members)
+        made = figures.of_series(loaded, axis, size, title, lowest, style)
         return figures.for_notebooks(made)
     chosen = SIZES[size]._replace(file=style)
     if kind == "archive":
-        found = archive.of_runs([run for each in groups.values() for run in each])
+        found = archive.of_runs(members)
         return figures.for_notebooks(archive.draw(found, chosen, title))
     values, height, _ = compared.numbers(groups, measure)
     return figures.for_notebooks(boxes.draw(values, height, kind, chosen, title))

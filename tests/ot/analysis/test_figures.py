@@ -1,5 +1,6 @@
 """Figures for papers: what is in the file, and that no input breaks them."""
 
+import json
 import os
 import re
 import subprocess
@@ -13,9 +14,10 @@ from click.testing import CliRunner
 
 import zswarm
 from tests.ot.invented_record import written
+from zswarm.config.sections import StopConfig
 from zswarm.errors import ConfigError
 from zswarm.ot import cli
-from zswarm.ot.analysis import curves, drawing, figures, grouping
+from zswarm.ot.analysis import curves, drawing, figures, grouping, picture
 from zswarm.ot.analysis.curves import Series
 from zswarm.ot.record.run_index import runs_below
 
@@ -149,15 +151,15 @@ def test_a_name_without_a_known_format_is_refused_in_one_line(tmp_path: Path) ->
 
 def test_a_picture_is_saved_in_the_folder(tmp_path: Path) -> None:
     folder = written(tmp_path, [1, 2, 3], finished=False)
-    figures.save_picture(folder)
+    picture.save_picture(folder)
     assert (folder / "fitness.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_picture_that_fails_is_not_there(tmp_path: Path) -> None:
     folder = written(tmp_path, [1, 2, 3])
     (folder / "fitness.png.part").mkdir()
-    figures.save_picture(folder)
-    figures.save_picture(tmp_path / "none")
+    picture.save_picture(folder)
+    picture.save_picture(tmp_path / "none")
     assert not (folder / "fitness.png").exists()
 
 
@@ -165,10 +167,10 @@ def test_without_the_extra_or_a_generation_there_is_no_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     begun = written(tmp_path, [], finished=False)
-    figures.save_picture(begun)
-    monkeypatch.setattr(figures.importlib.util, "find_spec", lambda _: None)
+    picture.save_picture(begun)
+    monkeypatch.setattr(picture.importlib.util, "find_spec", lambda _: None)
     folder = written(tmp_path, [1, 2, 3])
-    figures.save_picture(folder)
+    picture.save_picture(folder)
     assert not (begun / "fitness.png").exists()
     assert not (folder / "fitness.png").exists()
 
@@ -236,6 +238,42 @@ def test_plot_reports_incomparable_groups_and_where_a_curve_ends(tmp_path: Path)
     )
 
 
+def test_runs_with_a_budget_are_drawn_over_what_compare_compares_by(
+    tmp_path: Path,
+) -> None:
+    """After the two generations that all of them have, neither would be better."""
+    budget = StopConfig(simulations=96)
+    few, many = [float(step) for step in range(16)], [1.0, 2.0]
+    for seed in range(4):
+        more = {"seed": seed, "stop": budget}
+        written(tmp_path / "few", few, trials=2, **more)
+        written(tmp_path / "many", many, trials=16, **more)
+    output, numbers = tmp_path / "figure.svg", tmp_path / "figure.csv"
+    invoke("plot", tmp_path, "-o", output, "--csv", numbers)
+    assert numbers.read_text().startswith('"group","runs","simulations",')
+    by = json.loads(invoke("compare", tmp_path, "--json"))["by"]
+    assert picture.usual_axis(runs_below([tmp_path])) == by == "simulations"
+    note = zswarm.plot(tmp_path).axes[0].texts[0].get_text()
+    assert note.endswith("Mann-Whitney U after 96 simulations: p = 0.029, A12 = 1.00")
+    asked = zswarm.plot(tmp_path, x="generation").axes[0].texts[0].get_text()
+    assert "after 2 generations" in asked
+    written(tmp_path / "without", few)
+    assert picture.usual_axis(runs_below([tmp_path])) == "generation"
+
+
+@pytest.mark.parametrize("shape", ["curves", "box"])
+def test_runs_that_never_began_are_not_counted_as_drawn(
+    tmp_path: Path, shape: str
+) -> None:
+    written(tmp_path, [1.0, 2.0])
+    written(tmp_path, [], finished=False)
+    output = tmp_path / "figure.svg"
+    said = invoke("plot", tmp_path, "-o", output, "--as", shape)
+    assert said.endswith(
+        f"{output}: 1 run in 1 group; not drawn: 1 run without a finished generation\n"
+    )
+
+
 def test_the_lowest_fitness_shown_is_below_the_greatest() -> None:
     """Early values far below do not crush the rest."""
     groups = {"a": [run([-400.0, 1.0, 2.0])]}
@@ -292,8 +330,6 @@ def test_compare_shows_the_groups_and_the_result_of_the_test(
 
 
 def test_compare_as_json_holds_all_numbers(study: Path) -> None:
-    import json
-
     found = json.loads(invoke("compare", study, "--json"))
     assert [row["group"] for row in found["rows"]] == ["hidden 1", "hidden 2"]
     assert found["pairs"][0]["p"] == pytest.approx(2 / 70)

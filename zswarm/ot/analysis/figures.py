@@ -4,7 +4,6 @@ The same runs and the same matplotlib give the same bytes.
 """
 
 import contextlib
-import importlib.util
 import io
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = ("pdf", "svg", "png")
-PICTURE = "fitness.png"  # in a run's folder
 BAND = 3  # runs from which on quartiles are drawn
 DPI = 300
 EACH = "mean of a trial"
@@ -119,23 +117,6 @@ def render(figure: "Figure", as_format: str) -> bytes:
 def plain_style() -> None:
     """Ignore the user's own style of matplotlib; for programs of ours only."""
     need("matplotlib", "plot", "plot").rcdefaults()
-
-
-def save_picture(folder: Path) -> None:
-    """Write ``fitness.png`` into the folder of a run or study, in a program of its own.
-
-    Before the first generation, or without the extra ``plot``, no picture is written. If it
-    cannot be drawn, there is none: the run is recorded, and ``plot`` reports the reason.
-    """
-    from zswarm.ot.analysis import grouping
-    from zswarm.ot.record.run_index import runs_below
-
-    if importlib.util.find_spec("matplotlib") is None:
-        return
-    with contextlib.suppress(ConfigError):
-        groups, _ = curves.load(grouping.groups(runs_below([folder], [])))
-        if curves.started(groups):
-            save(of_series(groups, title=folder.resolve().name), folder / PICTURE)
 
 
 def table(groups: Groups, axis: Axis) -> tuple[list[str], list[list[object]]]:

@@ -15,6 +15,7 @@ from zswarm.system.text import clean
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from zswarm.ot.analysis.boxes import Shape
     from zswarm.ot.analysis.curves import Axis
     from zswarm.ot.analysis.drawing import FigureStyle, Size
     from zswarm.ot.record.reader import Run
@@ -33,9 +34,8 @@ MENU = ("Results", 7)
     "--x",
     "axis",
     type=click.Choice(["generation", "evaluations", "simulations", "time"]),
-    default="generation",
-    show_default=True,
-    help="Quantity on the horizontal axis.",
+    help="Quantity on the horizontal axis.  [default: what the runs have a budget of, as for "
+    "compare, else generation]",
 )
 @click.option(
     "--size",
@@ -79,7 +79,7 @@ def command(
     paths: tuple[Path, ...],
     output: Path | None,
     csv: str | None,
-    axis: "Axis",
+    axis: "Axis | None",
     size: "Size",
     title: str,
     lowest: float | None,
@@ -102,8 +102,7 @@ def command(
       zswarm-ot plot runs/minisim-elites --as archive
     """
     from zswarm.ot.analysis import csv as spreadsheet
-    from zswarm.ot.analysis import curves, figures, grouping
-    from zswarm.ot.analysis.drawing import SIZES
+    from zswarm.ot.analysis import curves, drawing, figures, grouping, picture
     from zswarm.ot.record.run_index import runs_below
 
     options.check_stdout(csv, as_json=as_json)
@@ -111,30 +110,30 @@ def command(
     output = output or Path(f"{name}.pdf")
     figures.format_of(output)
     skipped: list[str] = []
-    groups = grouping.renamed(grouping.groups(runs_below(paths, skipped)), labels)
+    found = runs_below(paths, skipped)
+    groups = grouping.renamed(grouping.groups(found), labels)
     if shape != "curves" or measure != SEARCH:
         if csv:
             raise ConfigError(
                 "--csv has the numbers of curves; of runs: zswarm-ot compare --csv"
             )
-        look = SIZES[size]._replace(file=style or "")
+        look = drawing.SIZES[size]._replace(file=style or "")
         figures.plain_style()
-        figures.save(_figure(groups, shape, measure, look, title, skipped), output)
-        drawn = {group: len(members) for group, members in groups.items()}
-        _report(output, drawn, as_json=as_json, stderr=False)
-        return
-    loaded, notes = curves.load(groups)
-    for note in [*skipped, *notes, *curves.cut(loaded, axis)]:
-        tables.line(note, stderr=True)
-    if csv:
-        spreadsheet.save(csv, *figures.table(loaded, axis))
-    figures.plain_style()
-    figure = figures.of_series(
-        loaded, axis, size, title, lowest, style or "", noted=noted
-    )
+        figure, drawn = _figure(groups, shape, measure, look, title, skipped)
+    else:
+        loaded, notes = curves.load(groups)
+        axis = axis or picture.usual_axis(found)
+        for note in [*skipped, *notes, *curves.cut(loaded, axis)]:
+            tables.line(note, stderr=True)
+        if csv:
+            spreadsheet.save(csv, *figures.table(loaded, axis))
+        figures.plain_style()
+        figure = figures.of_series(
+            loaded, axis, size, title, lowest, style or "", noted=noted
+        )
+        drawn = {group: len(runs) for group, runs in curves.started(loaded).items()}
     figures.save(figure, output)
-    runs = {group: len(found) for group, found in loaded.items()}
-    _report(output, runs, as_json=as_json, stderr=csv == "-")
+    _report(output, drawn, found, as_json=as_json, stderr=csv == "-")
 
 
 def _figure(
@@ -144,25 +143,39 @@ def _figure(
     style: "FigureStyle",
     title: str,
     skipped: list[str],
-) -> "Figure":
-    """Draw one number of each run, or an archive, and print what to know of the runs."""
+) -> "tuple[Figure, dict[str, int]]":
+    """Draw one number of each run, or an archive, and print what to know of the runs.
+
+    Return how many runs of each group are drawn, too.
+    """
     from zswarm.ot.analysis import archive, boxes, compared
 
     if shape == "archive":
         runs = [run for members in groups.values() for run in members]
-        return archive.draw(archive.of_runs(runs), style, title)
+        figure = archive.draw(archive.of_runs(runs), style, title)
+        return figure, {group: len(members) for group, members in groups.items()}
     values, height, notes = compared.numbers(groups, measure)
     for note in [*skipped, *notes]:
         tables.line(note, stderr=True)
-    return boxes.draw(
-        values, height, "violin" if shape == "violin" else "box", style, title
-    )
+    kind: Shape = "violin" if shape == "violin" else "box"
+    drawn = {group: len(numbers) for group, numbers in values.items()}
+    return boxes.draw(values, height, kind, style, title), drawn
 
 
-def _report(output: Path, runs: dict[str, int], *, as_json: bool, stderr: bool) -> None:
+def _report(
+    output: Path,
+    drawn: dict[str, int],
+    found: "list[Run]",
+    *,
+    as_json: bool,
+    stderr: bool,
+) -> None:
+    """Print what was drawn, and how many of the runs found have nothing to draw yet."""
     if as_json:
-        counts = [{"group": group, "runs": count} for group, count in runs.items()]
+        counts = [{"group": group, "runs": count} for group, count in drawn.items()]
         tables.print_json({"figure": str(output), "groups": counts})
         return
-    drawn = f"{plural(sum(runs.values()), 'run')} in {plural(len(runs), 'group')}"
-    tables.line(f"{clean(str(output))}: {drawn}", stderr=stderr)
+    runs = f"{plural(sum(drawn.values()), 'run')} in {plural(len(drawn), 'group')}"
+    if begun := sum(not run.generations() for run in found):
+        runs += f"; not drawn: {plural(begun, 'run')} without a finished generation"
+    tables.line(f"{clean(str(output))}: {runs}", stderr=stderr)

@@ -29,9 +29,9 @@ DRAW = """
 import os, sys
 from pathlib import Path
 os.nice(10)
-from zswarm.ot.analysis import figures
+from zswarm.ot.analysis import picture
 for folder in sys.argv[1:]:
-    figures.save_picture(Path(folder))
+    picture.save_picture(Path(folder))
 """
 ENDINGS = (KeyboardInterrupt, SystemExit, ZswarmError, sqlite3.Error, OSError)
 
