@@ -10,12 +10,15 @@ import pytest
 from click.testing import CliRunner
 
 from tests.installed_parts import playable
+from tests.smallest_experiment import small
 from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.ot.build import build
 from zswarm.ot.cli import command
 from zswarm.ot.commands.check import lines
+from zswarm.ot.estimate import dry_run
 from zswarm.ot.estimate.dry_run import Explanation, explain
+from zswarm.ot.study import forecast
 from zswarm.sims.minisim import Minisim
 
 STUDY = """
@@ -104,7 +107,6 @@ def test_more_slots_than_trials_of_a_generation_make_nothing_faster() -> None:
         ("minisim", ["problem.trials=1"], "trials = 1"),
         ("stadium", ["problem.trials=10"], "trials = 10: the trials do not differ"),
         ("minisim", ["optimizer.population=3"], "only 3 candidates"),
-        ("minisim", ["generations=1000000000"], "the record needs about "),
     ],
 )
 def test_likely_mistakes_are_reported(
@@ -114,9 +116,73 @@ def test_likely_mistakes_are_reported(
     assert told.startswith(warning)
 
 
+def test_a_record_that_does_not_fit_on_the_disk_is_reported() -> None:
+    """That of all runs together, of a study."""
+    for more in ("generations=1000000000", "study.repeat=10000"):
+        changes = ("--set", "generations=1000000", "--set", more)
+        told = json.loads(check("minisim", "--json", *changes))
+        assert told["warnings"][-1].startswith("the record needs about ")
+    assert not list(dry_run.too_large(1))
+
+
 def test_a_study_with_a_budget_does_not_use_the_number_of_generations() -> None:
-    budget = "study.budget={ evaluations = 500 }"
-    assert explained("minisim", "generations=1", budget).warnings == []
+    study = ["--set", "study.repeat=2", "--set", "generations=1"]
+    for count, told in ((500, []), (60, ["one generation uses the budget: random"])):
+        budget = f"study.budget={{ evaluations = {count} }}"
+        found = json.loads(check("minisim", "--json", *study, "--set", budget))
+        assert [text.partition(" candidates")[0] for text in found["warnings"]] == told
+
+
+def methods(folder: Path, more: str = "repeat = 2") -> Path:
+    """Write the smallest experiment with two methods, neither of which is that of the file."""
+    variants = (
+        "[study.variants.Small]\n"
+        'optimizer = { kind = "nnga", population = 16 }\n'
+        "[study.variants.Theirs]\n"
+        'optimizer = { kind = "cmaes", population = 30 }\n'
+    )
+    return small(folder, f"[study]\n{more}\n{variants}")
+
+
+def test_a_study_is_explained_by_its_runs_and_not_by_its_file(tmp_path: Path) -> None:
+    shown = " ".join(check(str(methods(tmp_path))).split())
+    for words in (
+        "study 2 settings, each run 2 times: 4 runs. All settings are possible",
+        "experiment small: seeds 7 to 8",
+        "optimizer Small: nnga Theirs: cmaes result",
+        "result Small: the same on all machines, bit for bit Theirs: may differ in the last "
+        "bits between machines, because of optimizer cmaes",
+        "in all 4 runs, ",
+    ):
+        assert words in shown, words
+    assert shown.count("fully-meshed: 10 inputs") == 1, "what they have in common, once"
+    for phantom in ("50 candidates", "generations, seed", "each generation"):
+        assert phantom not in shown, phantom
+    told = json.loads(check(str(methods(tmp_path)), "--json"))
+    each = [
+        (one["optimizer"], one["candidates_first_generation"]) for one in told["settings"]
+    ]
+    assert each == [("nnga", 16), ("cmaes", 30)]
+    played = sum(one["simulations"] for one in told["settings"])
+    assert told["simulations"] == 2 * played
+    assert "portable" not in told
+
+
+def test_a_warning_about_some_settings_names_them(tmp_path: Path) -> None:
+    path = methods(tmp_path)
+    path.write_text(path.read_text().replace("population = 16", "population = 4"))
+    few, *_ = json.loads(check(str(path), "--json"))["warnings"]
+    assert few.startswith("Small: only 4 candidates in a generation")
+
+
+def test_no_more_settings_are_played_than_a_moment_allows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The others are expected to take as long."""
+    monkeypatch.setattr(forecast, "SAMPLES_S", 0.0)
+    grid = '[study.grid]\n"representation.hidden" = [0, 2, 4]\n'
+    told = json.loads(check(str(small(tmp_path, grid)), "--json"))
+    assert len({one["trial_s"] for one in told["settings"]}) == 1
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -257,7 +323,10 @@ def test_every_setting_of_a_study_is_checked(tmp_path: Path) -> None:
             "the same on all machines, bit for bit; simulator sheep: if it keeps the rules for "
             "own parts",
         ),
-        ({"portable": False}, "may differ in the last bits between machines"),
+        (
+            {"portable": False, "optimizer": "cmaes"},
+            "may differ in the last bits between machines, because of optimizer cmaes",
+        ),
         (
             {"unportable": ["sheep.py:7: np.sum ...", "sheep.py:9: @ ..."]},
             "may differ in the last bits between machines: see 2 lines of minisim below",

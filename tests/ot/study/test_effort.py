@@ -49,6 +49,9 @@ def test_a_setting_that_does_not_reach_all_is_named_once_with_those(
 def test_unequal_work_is_named_and_a_budget_removes_it(tmp_path: Path) -> None:
     warnings, _ = written(tmp_path, GRID)
     assert "from 30 to 74 simulations a run" in warnings[-1]
+    advice = warnings[-1].partition("for example, ")[2]
+    assert advice.startswith("budget = { evaluations = ")
+    assert written(tmp_path, GRID.replace("repeat = 2", f"repeat = 2\n{advice}"))[0] == []
     equal = GRID.replace("repeat = 2", "repeat = 2\nbudget = { evaluations = 300 }")
     warnings, cells = written(tmp_path, equal)
     assert warnings == []
@@ -57,6 +60,30 @@ def test_unequal_work_is_named_and_a_budget_removes_it(tmp_path: Path) -> None:
     known = as_objects(cells)
     assert known[0]["setting"] == "NNGA, meshed"
     assert known[2]["differing"]["optimizer"] == "cmaes"
+
+
+def test_a_budget_below_a_first_generation_is_named_with_what_is_used(
+    tmp_path: Path,
+) -> None:
+    """Better advice follows: the same budget would not help."""
+    small_budget = GRID.replace("repeat = 2", "repeat = 2\nbudget = { evaluations = 25 }")
+    exceeded, unequal = written(tmp_path, small_budget)[0]
+    assert exceeded == (
+        "the budget of 25 evaluations is less than a first generation, which is played whole: "
+        "NNGA, meshed uses 30 (5 too many); NNGA, layers uses 30 (5 too many)"
+    )
+    advice = unequal.partition("for example, ")[2]
+    assert written(tmp_path, GRID.replace("repeat = 2", f"repeat = 2\n{advice}"))[0] == []
+
+
+def test_no_budget_is_advised_where_none_is_equal(tmp_path: Path) -> None:
+    """The first generation of a setting is larger than any budget may be."""
+    _, (one, *others) = written(tmp_path, GRID)
+    most = 2 * 10**9
+    huge = {"first": most, "first_simulations": most, "simulations": most}
+    one = one._replace(effort=one.effort._replace(**huge))
+    *_, text = effort.warnings(one.experiment, [one, *others])
+    assert text.endswith(" to 2,000,000,000 simulations a run")
 
 
 def test_a_run_with_a_budget_has_room_for_generations(tmp_path: Path) -> None:
@@ -75,9 +102,9 @@ def test_settings_with_unequal_trials_are_advised_a_budget_in_simulations(
     text = f'{GRID}"problem.trials" = [2, 8]\n'
     in_evaluations = text.replace("[study]", "[study]\nbudget = { evaluations = 300 }")
     (warning,) = written(tmp_path, in_evaluations)[0]
-    assert (
-        "for an equal budget set in [study], for example, budget = { simulations = 5"
-        in warning
-    )
+    advice = warning.partition("for example, ")[2]
+    assert advice.startswith("budget = { simulations = ")
+    followed = text.replace("[study]", f"[study]\n{advice}")
+    assert written(tmp_path, followed)[0] == []
     in_simulations = text.replace("[study]", "[study]\nbudget = { simulations = 2000 }")
     assert written(tmp_path, in_simulations)[0] == []

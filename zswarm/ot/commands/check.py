@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import msgspec
+from msgspec.structs import asdict
 
 from zswarm.experiment import Experiment
 from zswarm.ot.commands.shared import options
@@ -17,9 +18,12 @@ from zswarm.system.text import clean
 if TYPE_CHECKING:
     from zswarm.ot.cluster.discovery import Survey
     from zswarm.ot.estimate.dry_run import Explanation
-    from zswarm.ot.study.effort import Cell
+    from zswarm.ot.study.forecast import Forecast
 
 MENU = ("Begin", 2)
+# Lines that a study has for all runs together, and those whose numbers are in its table.
+WHOLE, TABULATED = ("experiment", "time", "disk"), ("genome", "work")
+SHOWN = 6  # texts of one kind that differ between settings
 
 
 @click.command("check")
@@ -49,21 +53,25 @@ def command(
     from zswarm.ot import build
     from zswarm.ot.cluster import matching
     from zswarm.ot.estimate import dry_run
-    from zswarm.ot.study import effort, effort_table
+    from zswarm.ot.study.forecast import forecast
     from zswarm.ot.study.study import checked_plan
 
     loaded, complete = options.loaded_and_complete(name, overrides, network)
-    cells: list[Cell] = []
-    if complete.study.runs() > 1 or complete.study.varies():
-        _, cells = checked_plan(complete, name, {})
+    study, explained = None, None
     with tables.doing("playing a few trials; the first time, kernels are compiled"):
-        explained = dry_run.explain(complete, build.build(complete))
-    explained.warnings.extend(effort.warnings(loaded, cells) if cells else ())
+        if complete.study.runs() > 1 or complete.study.varies():
+            _, cells = checked_plan(complete, name, {})
+            study = forecast(loaded, complete, cells)
+            warnings = study.warnings
+        else:
+            explained = dry_run.explain(complete, build.build(complete))
+            explained.warnings.extend(dry_run.too_large(explained.record_bytes))
+            warnings = [*explained.warnings, *explained.unportable]
     survey = _survey(complete) if search else None
     if as_json:
-        values: dict[str, Any] = msgspec.to_builtins(explained)
-        if cells:
-            values["settings"] = effort_table.as_objects(cells)
+        values: dict[str, Any] = (
+            study.for_programs(complete) if study else msgspec.to_builtins(explained)
+        )
         if survey is not None:
             choice = matching.choice(complete.cluster)
             values["servers"] = [
@@ -77,12 +85,12 @@ def command(
             ]
         tables.print_json(values)
         return
-    for about, text in lines(explained, complete):
-        tables.entry(about, clean(text))
-    if cells:
-        _show_study(cells, complete, explained)
+    if study:
+        _show_study(study, complete)
+    if explained:
+        for about, text in lines(explained, complete):
+            tables.entry(about, clean(text))
     matches = None if survey is None else _show_servers(survey, complete)
-    warnings = [*explained.warnings, *explained.unportable]
     for warning in warnings:
         tables.entry("warning", warning, colour="yellow")
     run = shlex.join(["zswarm-ot", "run", name, *_given(overrides, network)])
@@ -114,30 +122,64 @@ def _given(overrides: tuple[str, ...], network: dict[str, Any]) -> Iterator[str]
                 yield from (f"--{option}", each)
 
 
-def _show_study(cells: "list[Cell]", complete: Experiment, e: "Explanation") -> None:
-    """Print the settings of a study, and the work and time of all its runs."""
+def _show_study(study: "Forecast", complete: Experiment) -> None:
+    """Print what the runs of a study have in common, what differs, and the work of all."""
     from zswarm.ot.study import effort_table
 
-    tables.line("")
-    effort_table.show(cells)
-    repeat = complete.study.repeat
-    each = [cell.effort for cell in cells]
-    simulations = repeat * sum(
-        one.simulations + one.assessment_simulations for one in each
+    for about, text in study_lines(study, complete):
+        tables.entry(about, clean(text))
+    if len(study.cells) > 1:
+        tables.line("")
+        effort_table.show(study.cells)
+    tables.entry("in all", effort_table.total(study.cells, complete.study.repeat))
+    trials = [one.trial_s for one in study.explained]
+    slots = study.explained[0].slots
+    text = _time(trials, study.seconds, slots, study.seconds_elsewhere)
+    tables.entry("time", text)
+    tables.entry("disk", f"about {size(study.record_bytes)}")
+
+
+def study_lines(study: "Forecast", complete: Experiment) -> Iterator[tuple[str, str]]:
+    """Yield what a line is about, and its text: once for all runs, or for the settings it is of."""
+    from zswarm.ot.study import forecast
+
+    repeat, seed, cells = complete.study.repeat, complete.seed, study.cells
+    times = "once" if repeat == 1 else f"{repeat} times"
+    runs = (
+        f"{plural(len(cells), 'setting')}, each run {times}: {repeat * len(cells):,} runs"
     )
-    here = duration(simulations * e.trial_s / e.slots)
-    tables.entry("in all", f"{effort_table.total(cells, repeat)}; about {here} here")
+    yield "study", f"{runs}. All settings are possible"
+    seeds = f"seed {seed}" if repeat == 1 else f"seeds {seed} to {seed + repeat - 1}"
+    budget = [
+        f", {plural(limit, unit.removesuffix('s'))} in each run"
+        for unit, limit in asdict(complete.study.budget).items()
+        if limit
+    ]
+    yield "experiment", f"{complete.name}: {seeds}{''.join(budget)}"
+    each = [
+        dict(lines(one, cell.experiment))
+        for cell, one in zip(cells, study.explained, strict=True)
+    ]
+    if len(cells) > 1:
+        each = [
+            texts | {"optimizer": one.optimizer}  # its candidates are in the table
+            for texts, one in zip(each, study.explained, strict=True)
+        ]
+    for about in dict.fromkeys(about for texts in each for about in texts):
+        found = forecast.by_text(
+            cells, [[texts[about]] if about in texts else [] for texts in each]
+        )
+        if about in WHOLE or (about in TABULATED and len(found) > 1):
+            continue
+        for number, (text, names) in enumerate(found.items()):
+            if number == SHOWN:
+                yield "", f"and {len(found) - SHOWN:,} more"
+                break
+            yield "" if number else about, forecast.for_settings(text, names)
 
 
 def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
     """Yield what a line is about, and its text."""
-    from zswarm.ot.estimate.dry_run import EXAMPLE_SERVERS, EXAMPLE_SLOTS
-
-    if e.runs > 1:
-        settings = plural(complete.study.count(), "setting")
-        repeats = f"{settings}, each run {complete.study.repeat} times: {e.runs:,} runs"
-        about = "All settings are possible. First one run, as the file has it, then each setting"
-        yield "study", f"{repeats}. {about}"
     yield (
         "experiment",
         f"{e.experiment}: {plural(e.generations, 'generation')}, seed {complete.seed}",
@@ -168,21 +210,29 @@ def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
     )
     yield "fitness", _fitness(e, complete)
     first, later = e.candidates_first_generation, e.candidates_later_generations
-    then = f", then {later:,}" if later != first and e.generations > 1 else ""
+    changes = later != first and e.generations > 1
+    when = f"the first generation, then {later:,}" if changes else "each generation"
     yield (
         "optimizer",
-        f"{e.optimizer}: {first:,} candidates in the first generation{then}",
+        f"{e.optimizer}: {first:,} candidates in {when}",
     )
     yield "work", _work(e)
-    yield (
-        "time",
-        f"a simulation takes about {duration(e.trial_s)} here; all of them {duration(e.seconds)} "
-        f"on this machine's {plural(e.slots, 'slot')}, {duration(e.seconds_elsewhere)} on "
-        f"{EXAMPLE_SERVERS} such servers with {EXAMPLE_SERVERS * EXAMPLE_SLOTS} slots in all. The "
-        "network and the optimizer take additional time",
-    )
+    yield "time", _time([e.trial_s], e.seconds, e.slots, e.seconds_elsewhere)
     yield "disk", f"about {size(e.record_bytes)}"
     yield "result", _result(e)
+
+
+def _time(trials: list[float], seconds: float, slots: int, elsewhere: float) -> str:
+    """Return how long a simulation takes, and all of them here and on other machines."""
+    from zswarm.ot.estimate.dry_run import EXAMPLE_SERVERS, EXAMPLE_SLOTS
+
+    ends = list(dict.fromkeys((duration(min(trials)), duration(max(trials)))))
+    return (
+        f"a simulation takes about {' to '.join(ends)} here; all of them {duration(seconds)} "
+        f"on this machine's {plural(slots, 'slot')}, {duration(elsewhere)} on "
+        f"{EXAMPLE_SERVERS} such servers with {EXAMPLE_SERVERS * EXAMPLE_SLOTS} slots in all. The "
+        "network and the optimizer take additional time"
+    )
 
 
 def _work(e: "Explanation") -> str:
@@ -200,7 +250,7 @@ def _result(e: "Explanation") -> str:
     if not e.repeatable:
         return f"differs from run to run: trials of {e.simulator} do not repeat"
     if not e.portable:
-        return "may differ in the last bits between machines"
+        return f"may differ in the last bits between machines, because of optimizer {e.optimizer}"
     if e.unportable:
         lines = plural(len(e.unportable), "line")
         return f"may differ in the last bits between machines: see {lines} of {e.simulator} below"

@@ -12,7 +12,6 @@ import numpy as np
 
 from zswarm import evaluate, experiment
 from zswarm.config import ranges
-from zswarm.config.sections import BudgetConfig
 from zswarm.experiment import Experiment
 from zswarm.ot.assessment import amount
 from zswarm.ot.build import Parts
@@ -63,9 +62,7 @@ class Explanation(msgspec.Struct, frozen=True, kw_only=True):
     unportable: list[
         str
     ]  # lines of its source that may have other bits on other machines
-    # Of its study; all other numbers are about one run with the file's settings.
-    runs: int
-    generations: int
+    generations: int  # up to the last one, or as many as a budget has room for
     candidates_first_generation: int
     candidates_later_generations: int
     evaluations: int
@@ -90,11 +87,17 @@ class TrialSample(NamedTuple):
     error: str
 
 
-def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Explanation:
-    """Time some trials, and count; the parts are used up. ``out`` is where runs will be made."""
+def explain(
+    complete: Experiment, parts: Parts, sample: TrialSample | None = None
+) -> Explanation:
+    """Count the work of a run; the parts are used up.
+
+    Args:
+        sample: of its trials; None: some are played.
+    """
     problem, optimizer = parts
     genomes = optimizer.ask()
-    sample = time_trials(problem, genomes)
+    sample = sample or time_trials(problem, genomes)
     first = later = len(genomes)
     if first <= MOST_BRED:
         later = len(breed(optimizer, first)[0])
@@ -115,12 +118,10 @@ def explain(complete: Experiment, parts: Parts, out: Path = Path("runs")) -> Exp
         portable=optimizer.portable,
         repeatable=problem.simulator.repeatable,
         unportable=_unportable(problem),
-        runs=complete.study.runs(),
-        generations=complete.generations,
         candidates_first_generation=first,
         candidates_later_generations=later,
         trial_s=sample.trial_s,
-        warnings=list(_warnings(complete, sample, first, work["record_bytes"], out)),
+        warnings=list(_warnings(complete, sample, first, work["generations"])),
         **_simulator(problem),
         **work,
     )
@@ -187,6 +188,7 @@ def _work(
 
     slots = experiment.slots_of_this_machine(complete.cluster)
     return {
+        "generations": effort.generations,
         "games": sum(played[0]),
         "evaluations": evaluations,
         "simulations": simulations,
@@ -252,7 +254,7 @@ def _seeds(problem: Problem) -> np.ndarray:
 
 
 def _warnings(
-    complete: Experiment, sample: TrialSample, first: int, record: int, out: Path
+    complete: Experiment, sample: TrialSample, first: int, generations: int
 ) -> Iterator[str]:
     trials = complete.problem.trials
     if sample.failed:
@@ -260,8 +262,13 @@ def _warnings(
         yield f"every trial that was tried failed{reason}; {NOTHING_EVOLVES}"
     elif sample.error:
         yield f"a trial that was tried failed: {sample.error}; the candidate is ranked last"
-    if complete.generations == 1 and complete.study.budget == BudgetConfig():
-        yield "generations = 1: random candidates are judged, and nothing evolves"
+    if generations == 1:
+        why = (
+            "generations = 1"
+            if complete.generations == 1
+            else "one generation uses the budget"
+        )
+        yield f"{why}: random candidates are judged, and nothing evolves"
     if first < FEW:
         yield f"only {first} candidates in a generation: evolution needs a choice; 50 is usual"
     if trials == 1 and sample.differs:
@@ -274,6 +281,10 @@ def _warnings(
             f"trials = {trials}: the trials do not differ, nothing in them depends on the seed; "
             "problem.trials = 1 finds the same in less time"
         )
+
+
+def too_large(record: int, out: Path = Path("runs")) -> Iterator[str]:
+    """Yield a warning if a record does not fit on the disk; ``out`` is where runs will be made."""
     folder = next(
         path for path in (out.absolute(), *out.absolute().parents) if path.exists()
     )

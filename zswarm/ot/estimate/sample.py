@@ -23,6 +23,8 @@ class Effort(NamedTuple):
     evaluations: int
     simulations: int  # at most
     assessment_simulations: int  # at most, after the last generation
+    first_simulations: int  # of the first generation
+    later_simulations: int
 
 
 def breed(optimizer: Optimizer, candidates: int) -> tuple[list[bytes], float]:
@@ -65,8 +67,7 @@ def counted(problem: Problem, first: int, later: int) -> Effort:
         (stop.simulations, *played),
     ):
         if limit:
-            fitting = 1 + max(0, limit - begin) // max(1, each)
-            generations = min(generations, fitting)
+            generations = min(generations, fitting(limit, begin, each))
     others = generations - 1
     searched = played[0] + others * played[1]
     expected = round(amount.played(complete) * searched)
@@ -78,4 +79,10 @@ def counted(problem: Problem, first: int, later: int) -> Effort:
         first + others * later,
         searched,
         amount.trials_after(complete, expected, generations, fit=fit),
+        *played,
     )
+
+
+def fitting(limit: int, first: int, later: int) -> int:
+    """Return the generations that a budget has room for: the first one is played in any case."""
+    return 1 + max(0, limit - first) // max(1, later)

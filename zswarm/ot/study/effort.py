@@ -7,18 +7,22 @@ import json
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 
 from zswarm.config.sections import PartConfig, shown
 from zswarm.experiment import PARTS, Experiment
 from zswarm.ot.analysis.grouping import flat
 from zswarm.ot.build import Parts
-from zswarm.ot.estimate.sample import Effort, effort
+from zswarm.ot.estimate.sample import Effort, effort, fitting
 from zswarm.ot.study.plan import Planned, labels
 from zswarm.system.format import plural
 from zswarm.system.text import clean
 
 UNEQUAL = 1.1  # ratio of simulations from which on a warning is due
+# Generations of a budget in which the last one, for which there may be no room, matters less.
+MANY = 12
+MOST_ADVISED = 1_000_000_000  # evaluations or simulations
+NAMED = 4  # settings that a line names
 
 
 class Cell(NamedTuple):
@@ -94,15 +98,64 @@ def warnings(loaded: Experiment, found: Sequence[Cell]) -> Iterator[str]:
             unused.setdefault(setting, []).append(cell.label)
     for (text, why), names in unused.items():
         yield f"{text} does not apply to {'; '.join(names)}: {why}"
+    yield from _exceeded(loaded, found)
     counts = [cell.effort.simulations for cell in found]
     if max(counts) > UNEQUAL * min(counts):
-        trials = {cell.experiment.problem.trials for cell in found}
-        unit = "evaluations" if len(trials) == 1 else "simulations"
-        least = min(getattr(cell.effort, unit) for cell in found)
-        yield (
-            f"the settings use from {min(counts):,} to {plural(max(counts), 'simulation')} a run; "
-            f"for an equal budget set in [study], for example, budget = {{ {unit} = {least} }}"
-        )
+        words = f"the settings use from {min(counts):,} to {plural(max(counts), 'simulation')}"
+        yield f"{words} a run{_equal_budget(found)}"
+
+
+def _exceeded(loaded: Experiment, found: Sequence[Cell]) -> Iterator[str]:
+    """Name the settings whose first generation is more than the budget."""
+    for unit, limit in asdict(loaded.study.budget).items():
+        used = {cell.label: getattr(cell.effort, unit) for cell in found}
+        over = [
+            f"{name} uses {count:,} ({count - limit:,} too many)"
+            for name, count in used.items()
+            if count > limit
+        ]
+        if limit and over:
+            yield (
+                f"the budget of {plural(limit, unit.removesuffix('s'))} is less than a first "
+                f"generation, which is played whole: {listed(over)}"
+            )
+
+
+def _equal_budget(found: Sequence[Cell]) -> str:
+    """Advise a budget with which the settings do nearly the same work, if there is one."""
+    efforts = [cell.effort for cell in found]
+    for unit, generations in (
+        ("evaluations", [(one.first, one.later) for one in efforts]),
+        (
+            "simulations",
+            [(one.first_simulations, one.later_simulations) for one in efforts],
+        ),
+    ):
+        used = [getattr(one, unit) for one in efforts]
+        for limit in (min(used), max(used), _rounded(MANY * max(map(max, generations)))):
+            lengths = [fitting(limit, *sizes) for sizes in generations]
+            work = [
+                one.first_simulations + (length - 1) * one.later_simulations
+                for one, length in zip(efforts, lengths, strict=True)
+            ]
+            if max(work) <= UNEQUAL * min(work) and limit <= MOST_ADVISED:
+                return (
+                    "; for a nearly equal budget set in [study], for example, budget = "
+                    f"{{ {unit} = {limit} }}"
+                )
+    return ""
+
+
+def _rounded(count: int) -> int:
+    """Return the next larger number of two digits and zeros."""
+    unit: int = 10 ** max(0, len(str(count)) - 2)
+    return -(-count // unit) * unit
+
+
+def listed(words: Sequence[str]) -> str:
+    """Return a list of settings, of which the first are named."""
+    more = [f"and {len(words) - NAMED:,} more"] if len(words) > NAMED else []
+    return "; ".join([*words[:NAMED], *more])
 
 
 def _unused(loaded: Experiment, cell: Cell) -> Iterator[tuple[str, str]]:
