@@ -111,6 +111,10 @@ def test_a_variant_of_another_kind_has_the_defaults_of_that_kind(tmp_path: Path)
             "[study]\nrepeats = 2",
             "study: unknown key 'repeats' (did you mean 'repeat'?); known are: repeat, ",
         ),
+        (
+            "[study]\nbudget = { evaluation = 3 }",
+            "study: budget: unknown key 'evaluation' (did you mean 'evaluations'?); known are: ",
+        ),
         ("study = 3", ""),
         ("[study]\nlist = 3", "study.list: expected array, got int"),
         ("[study]\nlist = [3]", "study.list[0]: expected object, got int"),

@@ -10,7 +10,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, TypeGuard, TypeVar, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeGuard, TypeVar, get_args, get_origin
 
 import msgspec
 
@@ -128,7 +128,11 @@ def _refuse_unknown(
 @functools.cache
 def _types(struct: type[msgspec.Struct]) -> dict[str, Any]:
     """Return the types of a struct's fields; a list of runs reads hundreds of files."""
-    return {field.encode_name: field.type for field in msgspec.structs.fields(struct)}
+    found = {}
+    for field in msgspec.structs.fields(struct):
+        described = get_origin(field.type) is Annotated
+        found[field.encode_name] = get_args(field.type)[0] if described else field.type
+    return found
 
 
 def _path_and_text(message: str, struct: type[msgspec.Struct]) -> tuple[str, str]:
