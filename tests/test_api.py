@@ -126,6 +126,26 @@ def test_an_invalid_experiment_is_refused_in_one_line(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        ({"seed": "one"}, 'seed = "one": seed: expected int, got str'),
+        ({"optimizer.pop": 3}, "optimizer.pop = 3: optimizer: unknown key 'pop'"),
+        (
+            {"generations": 9, "optimizer.population": 1},
+            "optimizer.population = 1: optimizer: population: expected int >= 2",
+        ),
+        ({3: 1}, "3 = 1: unknown key '3'"),
+    ],
+)
+def test_an_invalid_setting_is_named_and_not_the_file(
+    settings: dict[str, Any], line: str
+) -> None:
+    with pytest.raises(zswarm.ConfigError) as caught:
+        zswarm.load("stadium", settings)
+    assert str(caught.value).startswith(line)
+
+
 def test_an_experiment_of_parts_that_are_not_installed_can_be_loaded() -> None:
     """It can be examined; it is refused when it is used."""
     loaded = zswarm.load("stadium", {"problem.simulator": "elsewhere"})

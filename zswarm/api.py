@@ -48,8 +48,10 @@ def load(source: Source, settings: Mapping[str, Any] | None = None) -> Experimen
 
         small = zswarm.load("stadium", {"generations": 20, "optimizer.population": 30})
     """
-    loaded, where = embedding.load(source, {} if settings is None else settings)
-    experiments.check_settings(loaded, where)
+    settings = {} if settings is None else settings
+    loaded, where = embedding.load(source, settings)
+    with embedding.named(settings, where):
+        experiments.check_settings(loaded, where)
     return loaded
 
 
@@ -106,8 +108,10 @@ def problem(
         "representation": _table(representation),
         "ranking": _table(ranking),
     }
-    loaded, where = embedding.load(source, _without_none(given))
-    return Problem(experiments.complete(loaded, where))
+    changes = _without_none(given)
+    loaded, where = embedding.load(source, changes)
+    with embedding.named(changes, where):
+        return Problem(experiments.complete(loaded, where))
 
 
 # ---- servers

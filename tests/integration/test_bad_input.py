@@ -69,6 +69,12 @@ def evolve_rough(tmp_path: Path, rough: str, how: str, *options: str) -> Optimiz
             2,
             "--set optimizer.population=x: optimizer: ",
         ),
+        (["run", "--generations", "0"], 2, "--generations 0: generations: expected int"),
+        (
+            ["run", "--set", "optimizer.population=9", "--population", "1"],
+            2,
+            "--population 1: optimizer: population: expected int >= 2",
+        ),
         (
             ["check", "--set", "problem.seeds=fix", "stadium"],
             2,

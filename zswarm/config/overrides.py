@@ -1,6 +1,7 @@
 """Changes to the mapping of a TOML file: ``--set a.b=value``, and values by dotted paths."""
 
-from collections.abc import Iterator, Mapping
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from zswarm.config import ranges
@@ -42,6 +43,25 @@ def changed(
     for path, value in values.items():
         set_value(copy, str(path), value, f"{where}: {path}")
     return copy
+
+
+@contextlib.contextmanager
+def blamed(given: Sequence[tuple[str, str]], where: str) -> Iterator[None]:
+    """Report an error in a value that was given with the words that gave it, not with the file.
+
+    Args:
+        given: keys, and words such as ``--set a.b=1``; the last ones that fit are named.
+        where: the file in errors.
+    """
+    try:
+        yield
+    except ConfigError as error:
+        key, text = ".".join(error.path), str(error)
+        for changed, words in reversed(given) if text.startswith(f"{where}: ") else ():
+            if f"{key}.".startswith(f"{changed}."):
+                text = f"{words}{text.removeprefix(where)}"
+                raise type(error)(text, error.path) from error
+        raise
 
 
 def plain(value: Any) -> Any:

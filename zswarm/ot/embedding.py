@@ -16,7 +16,8 @@ from msgspec.structs import replace
 
 from zswarm import experiment as experiments
 from zswarm.config.decode import read
-from zswarm.config.overrides import changed
+from zswarm.config.overrides import blamed, changed
+from zswarm.config.studies import in_words
 from zswarm.config.suggest import nearest
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
@@ -51,7 +52,16 @@ def load(source: Source, changes: Mapping[str, Any]) -> tuple[Experiment, str]:
             "experiment: expected a file, the name of an example, the folder of a run, a dict or "
             f"an experiment, not {source!r}"
         )
-    return experiments.check(changed(mapping, changes, where), where), where
+    with named(changes, where):
+        return experiments.check(changed(mapping, changes, where), where), where
+
+
+def named(
+    changes: Mapping[str, Any], where: str
+) -> contextlib.AbstractContextManager[None]:
+    """Report an error in one of the changes with its key and value instead of the source."""
+    words = [(str(key), in_words({str(key): value})) for key, value in changes.items()]
+    return blamed(words, where)
 
 
 def hinted(function: Callable[P, R]) -> Callable[P, R]:

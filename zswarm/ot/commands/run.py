@@ -3,12 +3,14 @@
 import contextlib
 import threading
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from zswarm import experiment
+from zswarm.config import overrides as changes
 from zswarm.config.sections import MAX_RUNS, ClusterConfig
 from zswarm.errors import ConfigError
 from zswarm.experiment import LAST_SEED, Experiment
@@ -89,8 +91,9 @@ def command(
     path = experiment.find(name or EXAMPLE)
     given = {"seed": seed, "generations": generations, "study.repeat": repeat}
     given |= {"optimizer.population": population, "problem.trials": trials}
-    loaded = _load(path, overrides, given, cluster)
-    errors = options.blamed(overrides, path)
+    blamed = partial(changes.blamed, _words(overrides, given), str(path))
+    with blamed():
+        loaded = _load(path, overrides, given, cluster)
     shown = {"as_json": as_json, "with_dashboard": with_dashboard}
     with contextlib.ExitStack() as stack:
         folders = stack.enter_context(playing.figures())
@@ -98,7 +101,7 @@ def command(
             stack.enter_context(naming_unused_servers(loaded.cluster))
             loaded = options.with_cluster(loaded, {"servers": "local"})
         connection = stack.enter_context(Connection(loaded.cluster))
-        stack.enter_context(errors)
+        stack.enter_context(blamed())
         if loaded.study.runs() > 1 or loaded.study.varies():
             with _study(loaded, path, out) as study:
                 settle(study.folder)
@@ -128,8 +131,18 @@ def _load(
     cluster: dict[str, Any],
 ) -> Experiment:
     more = [f"{key}={value}" for key, value in given.items() if value is not None]
-    with options.blamed(overrides, path):
-        return options.with_cluster(experiment.load(path, [*overrides, *more]), cluster)
+    return options.with_cluster(experiment.load(path, [*overrides, *more]), cluster)
+
+
+def _words(
+    overrides: tuple[str, ...], given: dict[str, int | None]
+) -> list[tuple[str, str]]:
+    """Return the keys that options set, and the options."""
+    return options.given_by_set(overrides) + [
+        (key, f"--{key.rpartition('.')[2]} {value}")
+        for key, value in given.items()
+        if value is not None
+    ]
 
 
 def _about_servers(overrides: tuple[str, ...], cluster: dict[str, Any]) -> bool:

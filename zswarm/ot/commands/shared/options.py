@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from zswarm import experiment
+from zswarm.config.overrides import blamed
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.commands.shared import suggestions
@@ -216,18 +217,12 @@ def writing(path: Path, if_it_exists: str) -> Iterator[None]:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-@contextlib.contextmanager
-def blamed(overrides: Sequence[str], path: Path) -> Iterator[None]:
-    """Report an error in a ``--set`` with that option instead of the file."""
-    try:
-        yield
-    except ConfigError as error:
-        key, text = ".".join(error.path), str(error)
-        for override in overrides if text.startswith(f"{path}: ") else ():
-            if f"{key}.".startswith(f"{override.partition('=')[0].strip()}."):
-                text = f"--set {override}{text.removeprefix(str(path))}"
-                raise type(error)(text, error.path) from error
-        raise
+def given_by_set(overrides: Sequence[str]) -> list[tuple[str, str]]:
+    """Return the keys of ``--set`` options, and the options, for ``blamed``."""
+    return [
+        (override.partition("=")[0].strip(), f"--set {override}")
+        for override in overrides
+    ]
 
 
 def complete(name: str, overrides: Sequence[str], cluster: dict[str, Any]) -> Experiment:
@@ -244,7 +239,7 @@ def loaded_and_complete(
 ) -> tuple[Experiment, Experiment]:
     """Return an experiment as its file has it, and complete; errors as ``complete``."""
     path = experiment.find(name)
-    with blamed(overrides, path):
+    with blamed(given_by_set(overrides), str(path)):
         loaded = with_cluster(experiment.load(path, overrides), cluster)
         return loaded, experiment.complete(loaded, str(path))
 
