@@ -47,7 +47,9 @@ LABEL = 16  # columns
     shell_complete=suggestions.runs,
     help="The opponent in a game of several participants.  [default: the champion itself]",
 )
-@options.set_option_of("problem", "problem.settings.robots=20")
+@options.set_option_of(
+    "problem", "problem.settings.robots=20", ", for one run, not for a study"
+)
 @options.csv_option
 @options.cluster_options
 @options.json_option

@@ -279,7 +279,8 @@ class SlotTable:
             lease.wanted = min(lease.wanted, len(self.slots)) - 1
             self.leases.give_back(slot)
         else:
-            reason = f"the simulator's process ended while it was prepared: {reason}"
+            simulator = lease.reserve.simulator.kind
+            reason = f"while simulator {simulator} was prepared: {reason}"
             self.leases.fail(lease, reason, passing=event.kind != "memory")
 
     def _kill(self, slot: Slot) -> None:

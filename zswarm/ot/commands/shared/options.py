@@ -68,9 +68,9 @@ def together(*options: Callable[[F], F]) -> Callable[[F], F]:
     return add
 
 
-def set_option_of(what: str, example: str) -> Callable[[F], F]:
+def set_option_of(what: str, example: str, limits: str = "") -> Callable[[F], F]:
     """Make a ``--set`` option."""
-    text = f"Change a setting of the {what}, such as {example}; may be repeated."
+    text = f"Change a setting of the {what}, such as {example}{limits}; may be repeated."
     return click.option(
         "--set", "overrides", multiple=True, metavar="KEY=VALUE", help=text
     )
