@@ -163,6 +163,19 @@ def test_a_group_of_few_runs_has_dots_and_no_box() -> None:
     assert [label.get_rotation() for label in axes.get_xticklabels()] == [35]
 
 
+def test_boxes_and_violins_have_a_note_on_what_is_drawn() -> None:
+    values = {"a": np.arange(5.0)}
+    for shape, words in (("box", "whiskers"), ("violin", "densities")):
+        drawn = boxes.draw(values, "fitness", shape, SIZES["column"])
+        note = drawn.get_supxlabel()
+        assert note.startswith("dots: runs; black lines: medians\n")
+        assert words in note
+    few = boxes.draw({"a": np.arange(3.0)}, "fitness", "box", SIZES["column"])
+    assert few.get_supxlabel() == "dots: runs; black lines: medians"
+    without = boxes.draw(values, "fitness", "box", SIZES["column"], noted=False)
+    assert without.get_supxlabel() == ""
+
+
 @pytest.mark.parametrize("shape", ["box", "violin"])
 def test_one_number_of_each_run_is_drawn(study: Path, tmp_path: Path, shape: str) -> None:
     style = tmp_path / "paper.mplstyle"

@@ -20,6 +20,11 @@ LETTER = 0.8  # width of a letter with its share of the margins, per size of the
 POINTS = 72  # in an inch
 BOX, SPREAD = 0.5, 0.12  # width of a box, and how far dots are from the middle, in groups
 Shape = Literal["box", "violin"]
+DOTS = "dots: runs; black lines: medians"
+NOTES: dict[Shape, str] = {
+    "box": "boxes: quartiles; whiskers: the farthest runs\nwithin 1.5 times the boxes' height",
+    "violin": "violins: densities; grey bars: quartiles",
+}
 Drawn = tuple[Any, np.ndarray, str]  # place, numbers and colour of a group
 
 
@@ -29,6 +34,8 @@ def draw(
     shape: Shape,
     size: FigureStyle,
     title: str = "",
+    *,
+    noted: bool = True,
 ) -> "Figure":
     """Return a figure: quartiles or densities, and every run as a dot.
 
@@ -38,6 +45,7 @@ def draw(
     Args:
         values: by group, (runs,) float64; -inf, where every candidate failed, is left out.
         height: name of the vertical axis.
+        noted: write below what is drawn.
 
     Raises:
         ConfigError: there are too many groups, or no finite number.
@@ -55,32 +63,33 @@ def draw(
         places = np.arange(1, len(finite) + 1)
         columns = list(finite.values())
         colours = _colours(len(columns))
-        large = [
-            one
-            for one in zip(places, columns, colours, strict=True)
-            if len(one[1]) >= FEW
-        ]
+        drawn = list(zip(places, columns, colours, strict=True))
+        large = [one for one in drawn if len(one[1]) >= FEW]
         if shape == "box":
             _boxes(axes, large, size)
         else:
             _violins(axes, large, size)
-        for one in zip(places, columns, colours, strict=True):
+        for one in drawn:
             in_box = shape == "box" and len(one[1]) >= FEW
             _dots(axes, one, size, half=BOX / 2 if in_box else SPREAD)
         labels, turned = _labels(finite, size)
-        axes.set_xticks(
-            places,
-            labels,
-            rotation=35 if turned else 0,
-            ha="right" if turned else "center",
-        )
+        look: dict[str, Any] = {"rotation": 35, "ha": "right"} if turned else {}
+        axes.set_xticks(places, labels, **look)
         axes.set_xlim(0.4, len(finite) + 0.6)
         axes.set_ylabel(drawing.upright(height, size))
+        if noted:
+            _note(figure, size, NOTES[shape] if large else "")
         if title:
             axes.set_title(
                 clean(title), loc="left", fontweight="bold", fontsize=size.font
             )
     return figure
+
+
+def _note(figure: "Figure", size: FigureStyle, more: str) -> None:
+    """Write below what is drawn."""
+    text, small = "\n".join(filter(None, [DOTS, more])), 0.85 * size.font
+    figure.supxlabel(text, x=0.99, ha="right", fontsize=small, color=GREY)
 
 
 def _dots(axes: Any, drawn: Drawn, size: FigureStyle, *, half: float) -> None:

@@ -7,7 +7,6 @@ import click
 
 from zswarm.errors import ConfigError
 from zswarm.ot.commands.shared import options
-from zswarm.ot.commands.shared.options import SEARCH
 from zswarm.ot.display import tables
 from zswarm.system.format import plural
 from zswarm.system.text import clean
@@ -65,6 +64,7 @@ MENU = ("Results", 7)
 @options.label_option
 @click.option(
     "--style",
+    default="",
     metavar="FILE",
     help="A style of matplotlib: a file with settings such as font.family, or a name.",
 )
@@ -72,7 +72,7 @@ MENU = ("Results", 7)
     "--note/--no-note",
     "noted",
     default=True,
-    help="Write below the curves what bands are, and the test's result.  [default: note]",
+    help="Write below what bands, boxes or violins are, and the test's result.  [default: note]",
 )
 @options.json_option
 def command(
@@ -84,9 +84,9 @@ def command(
     title: str,
     lowest: float | None,
     shape: str,
-    measure: str,
+    measure: str | None,
     labels: tuple[str, ...],
-    style: str | None,
+    style: str,
     noted: bool,
     as_json: bool,
 ) -> None:
@@ -102,7 +102,9 @@ def command(
       zswarm-ot plot runs/minisim-elites --as archive
     """
     from zswarm.ot.analysis import csv as spreadsheet
-    from zswarm.ot.analysis import curves, drawing, figures, grouping, picture
+    from zswarm.ot.analysis import curves, figures, grouping, picture
+    from zswarm.ot.analysis.drawing import SIZES
+    from zswarm.ot.analysis.measure import SEARCH
     from zswarm.ot.record.run_index import runs_below
 
     options.check_stdout(csv, as_json=as_json)
@@ -112,14 +114,14 @@ def command(
     skipped: list[str] = []
     found = runs_below(paths, skipped)
     groups = grouping.renamed(grouping.groups(found), labels)
-    if shape != "curves" or measure != SEARCH:
+    figures.plain_style()
+    if shape != "curves" or measure not in (None, SEARCH):
         if csv:
             raise ConfigError(
                 "--csv has the numbers of curves; of runs: zswarm-ot compare --csv"
             )
-        look = drawing.SIZES[size]._replace(file=style or "")
-        figures.plain_style()
-        figure, drawn = _figure(groups, shape, measure, look, title, skipped)
+        look = SIZES[size]._replace(file=style)
+        figure, drawn = _figure(groups, shape, measure, look, title, skipped, noted=noted)
     else:
         loaded, notes = curves.load(groups)
         axis = axis or picture.usual_axis(found)
@@ -127,10 +129,7 @@ def command(
             tables.line(note, stderr=True)
         if csv:
             spreadsheet.save(csv, *figures.table(loaded, axis))
-        figures.plain_style()
-        figure = figures.of_series(
-            loaded, axis, size, title, lowest, style or "", noted=noted
-        )
+        figure = figures.of_series(loaded, axis, size, title, lowest, style, noted=noted)
         drawn = {group: len(runs) for group, runs in curves.started(loaded).items()}
     figures.save(figure, output)
     _report(output, drawn, found, as_json=as_json, stderr=csv == "-")
@@ -139,10 +138,12 @@ def command(
 def _figure(
     groups: "dict[str, list[Run]]",
     shape: str,
-    measure: str,
+    measure: str | None,
     style: "FigureStyle",
     title: str,
     skipped: list[str],
+    *,
+    noted: bool,
 ) -> "tuple[Figure, dict[str, int]]":
     """Draw one number of each run, or an archive, and print what to know of the runs.
 
@@ -157,9 +158,9 @@ def _figure(
     values, height, notes = compared.numbers(groups, measure)
     for note in [*skipped, *notes]:
         tables.line(note, stderr=True)
-    kind: Shape = "violin" if shape == "violin" else "box"
+    kind: boxes.Shape = "violin" if shape == "violin" else "box"
     drawn = {group: len(numbers) for group, numbers in values.items()}
-    return boxes.draw(values, height, kind, style, title), drawn
+    return boxes.draw(values, height, kind, style, title, noted=noted), drawn
 
 
 def _report(
