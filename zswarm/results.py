@@ -11,6 +11,7 @@ from zswarm.ot.analysis.grouping import flat
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.run_index import runs_below
 from zswarm.system.extras import need
+from zswarm.system.format import plural
 
 if TYPE_CHECKING:
     import pandas
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from zswarm.ot.analysis.drawing import Size
 
 Folder = str | os.PathLike[str]
-SEARCH = "search"
 
 
 class Compared:
@@ -29,24 +29,35 @@ class Compared:
 
     Attributes:
         groups: a row for each group: runs, median, quartiles, best, worst, held-out, effort.
-        pairs: a row for each pair: U, p, Holm's p, A12 with its 95 % interval, Cliff's delta, the
-            size of the effect. Empty if there are too few runs for a test.
-        kruskal_p: p over all groups; None for two.
+        pairs: a row for each pair of a problem: U, p, Holm's p, A12 with its 95 % interval,
+            Cliff's delta, the size of the effect. Empty if there are too few runs for a test.
+        families: a row for each problem: p of Kruskal-Wallis, and why no pair was tested.
         notes: what a reader of the numbers has to know.
+        of: what is compared.
         latex: tables for a paper.
     """
 
     groups: "pandas.DataFrame"
     pairs: "pandas.DataFrame"
-    kruskal_p: float | None
+    families: "pandas.DataFrame"
     notes: list[str]
+    of: str
     latex: str
+
+    def __repr__(self) -> str:
+        runs = [
+            f"{group}: {plural(count, 'run')}"
+            for group, count in zip(
+                self.groups["group"], self.groups["runs"], strict=True
+            )
+        ]
+        return f"<Compared: {self.of}; {', '.join(runs)}; {plural(len(self.pairs), 'pair')} tested>"
 
 
 def compare(
     *runs: Folder | Run,
     by: "By | None" = None,
-    measure: str = SEARCH,
+    measure: str | None = None,
     labels: Mapping[str, str] | None = None,
 ) -> Compared:
     """Compare groups of runs, as ``zswarm-ot compare`` does.
@@ -56,7 +67,8 @@ def compare(
         by: compare after equally many "generations", "evaluations" or "simulations"; None: what
             all runs have a budget of, else generations.
         measure: "search": best fitness in search; "held-out"; "fitness" or a metric, of
-            ``zswarm-ot evaluate``.
+            ``zswarm-ot evaluate``; None: "held-out" if all runs are finished and assessed and
+            ``by`` is None, else "search".
         labels: other names of groups.
 
     Raises:
@@ -74,7 +86,8 @@ def compare(
     made = Compared()
     made.groups = frame([row._asdict() for row in found.rows])
     made.pairs = frame([pair.as_object() for pair in found.pairs])
-    made.kruskal_p, made.notes = found.kruskal_p, found.notes
+    made.families = frame([one._asdict() for one in found.families])
+    made.notes, made.of = found.notes, found.of
     made.latex = latex.tables(found)
     return made
 
@@ -129,7 +142,7 @@ def plot(
     title: str = "",
     lowest: float | None = None,
     kind: Literal["curves", "box", "violin", "archive"] = "curves",
-    measure: str = SEARCH,
+    measure: str | None = None,
     labels: Mapping[str, str] | None = None,
     style: str = "",
 ) -> "Figure":
@@ -144,7 +157,7 @@ def plot(
         lowest: lower limit of the fitness axis.
         kind: curves of learning, one number of each run as boxes or violins, or the archive of a
             run of ``map-elites``.
-        measure: the number of each run: "search", "held-out", "fitness" or a metric.
+        measure: the number of each run, as for ``compare``.
         labels: other names of groups.
         style: a file of matplotlib's settings, or the name of a style.
 

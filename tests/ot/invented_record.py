@@ -1,8 +1,9 @@
 """Write run folders as our programs do, with a given fitness; nothing is evaluated."""
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -33,8 +34,15 @@ def written(
     trials: int = 1,
     optimizer: PartConfig = EXPERIMENT.optimizer,
     stop: StopConfig = EXPERIMENT.stop,
+    label: str = "",
+    seeds: Literal["fixed", "fresh"] = "fixed",
+    held_out: float | None = None,
 ) -> Path:
-    """Write a run with its best fitness after each generation; NaN: every candidate failed."""
+    """Write a run with its best fitness after each generation; NaN: every candidate failed.
+
+    Args:
+        held_out: the champion's fitness in its assessment; None: it was not assessed.
+    """
     representation = msgspec.structs.replace(
         EXPERIMENT.representation,
         settings={**EXPERIMENT.representation.settings, "hidden": hidden},
@@ -43,11 +51,13 @@ def written(
         EXPERIMENT.problem,
         simulator=simulator,
         trials=trials,
+        seeds=seeds,
         settings={**EXPERIMENT.problem.settings, **(settings or {})},
     )
     complete = msgspec.structs.replace(
         EXPERIMENT,
         seed=seed,
+        label=label,
         generations=len(best) + (not finished),
         representation=representation,
         optimizer=optimizer,
@@ -92,6 +102,9 @@ def written(
                     run="run",
                 )
             )
+        if held_out is not None:
+            found = {"low": held_out, "high": held_out, "seeds": 9, "in_search": best[-1]}
+            record.set_meta("assessment", json.dumps({"mean": held_out, **found}))
         if finished:
             record.set_meta("history_hash", history.hex())
         return record.folder

@@ -11,10 +11,12 @@ import pytest
 from tests.ot.invented_record import written
 from zswarm.config.sections import StopConfig
 from zswarm.errors import ConfigError
-from zswarm.ot.analysis import comparison, curves, grouping
+from zswarm.ot.analysis import comparison, curves, grouping, significance
 from zswarm.ot.analysis.compared import compare
 from zswarm.ot.analysis.comparison import Comparison
 from zswarm.ot.analysis.curves import Series
+from zswarm.ot.analysis.effect_size import LEVEL, effect
+from zswarm.ot.analysis.significance import Family, Pair
 from zswarm.ot.record.reader import Run
 
 NAN = float("nan")
@@ -37,7 +39,7 @@ def compared(groups: Mapping[str, Sequence[Run]]) -> Comparison:
 
 def test_a_row_has_median_and_quartiles_of_the_runs() -> None:
     (row,) = comparison.of_series({"a": ended([4, 1, 2, 3, 5])}, "generations").rows
-    assert row == ("a", 5, 3.0, 2.0, 4.0, 5.0, 1.0, 50.0, 1.0, None, 50.0)
+    assert row == ("a", 5, 3.0, 2.0, 4.0, 5.0, 1.0, 50.0, 1.0, None, 50.0, "")
 
 
 def test_runs_of_unequal_length_are_compared_at_the_shortest_length() -> None:
@@ -112,20 +114,33 @@ def exact_p(a: Sequence[float], b: Sequence[float]) -> float:
 
 
 @pytest.mark.parametrize(
-    ("a", "b", "method"),
+    ("a", "b"),
     [
-        ([1, 2, 3, 4, 9], [5, 6, 7, 8, 10], "exact"),
-        ([1, 2, 2, 3, 3], [3, 4, 4, 5, 5, 5], "permutation"),
-        ([-math.inf, -math.inf, 1, 2, 3], [4, 5, 6, 7], "permutation"),
+        ([1, 2, 3, 4, 9], [5, 6, 7, 8, 10]),
+        ([1, 2, 2, 3, 3], [3, 4, 4, 5, 5, 5]),
+        ([3, 4, 4, 5, 5, 5, 9], [1, 2, 2, 3]),
+        ([-math.inf, -math.inf, 1, 2, 3], [4, 5, 6, 7]),
     ],
 )
-def test_a_small_sample_is_tested_exactly(
-    a: list[float], b: list[float], method: str
-) -> None:
+def test_a_small_sample_is_tested_exactly(a: list[float], b: list[float]) -> None:
     """The p of all ways to deal the runs out, with ties, too."""
     (pair,) = comparison.of_series({"a": ended(a), "b": ended(b)}, "generations").pairs
-    assert pair.method == method
+    assert pair.method == "exact"
     assert pair.p == pytest.approx(exact_p(a, b))
+
+
+def test_up_to_fifty_runs_are_tested_exactly_with_ties() -> None:
+    """Ten against ten, with ties: 2 of the 184,756 ways are as extreme as the one seen."""
+    apart = {"a": ended([1, 1, 2, 3, 4, 5, 6, 7, 8, 8]), "b": ended([9] * 5 + [10] * 5)}
+    (pair,) = comparison.of_series(apart, "generations").pairs
+    assert pair.method == "exact"
+    assert pair.p == pytest.approx(2 / math.comb(20, 10))
+    methods = []
+    for count in (50, 51):
+        values = np.arange(count) // 2
+        groups = {"a": ended(values.tolist()), "b": ended((values + 3).tolist())}
+        methods += [p.method for p in comparison.of_series(groups, "generations").pairs]
+    assert methods == ["exact", "asymptotic"]
 
 
 def test_a12_is_the_probability_that_a_run_of_the_first_group_is_better() -> None:
@@ -133,36 +148,34 @@ def test_a12_is_the_probability_that_a_run_of_the_first_group_is_better() -> Non
         {"a": ended([1, 2, 3, 4]), "b": ended([1, 5, 6, 7])}, "generations"
     ).pairs
     assert pair.a12 == (0.5 + 1 + 1 + 1) / 16
-    assert comparison.effect(pair.a12) == comparison.effect(1 - pair.a12) == "large"
+    assert effect(pair.a12) == effect(1 - pair.a12) == "large"
 
 
 def test_equal_groups_do_not_differ_significantly() -> None:
     found = comparison.of_series({name: ended([7] * 6) for name in "abc"}, "generations")
     assert {pair.p_holm for pair in found.pairs} == {1.0}
-    assert found.kruskal_p == 1.0
+    assert found.families == [Family("", 1.0, "")]
 
 
 def test_many_pairs_are_corrected_after_holm() -> None:
-    assert comparison._holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx(
+    assert significance._holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx(
         [0.03, 0.06, 0.06, 0.02]
     )
-    assert comparison._holm([0.9, 0.6]) == [1.0, 1.0]
+    assert significance._holm([0.9, 0.6]) == [1.0, 1.0]
 
 
 @pytest.mark.parametrize(("groups", "needed"), [(2, 4), (3, 5), (6, 6)])
 def test_for_too_few_runs_the_needed_number_is_reported(groups: int, needed: int) -> None:
     """A group with one run less is not tested; the needed number can show a difference."""
     few = {str(g): ended(range(10 * g, 10 * g + needed - 1)) for g in range(groups)}
-    assert (
-        f"with {needed} or more runs of each"
-        in comparison.of_series(few, "generations").untested
-    )
+    (family,) = comparison.of_series(few, "generations").families
+    assert f"with {needed} or more runs of each" in family.untested
     enough = comparison.of_series(
         {str(g): ended(range(10 * g, 10 * g + needed)) for g in range(groups)},
         "generations",
     )
-    assert enough.untested == ""
-    assert all(pair.p_holm < comparison.LEVEL for pair in enough.pairs)
+    assert enough.untested == []
+    assert all(pair.p_holm < LEVEL for pair in enough.pairs)
 
 
 def test_very_many_groups_are_tested_over_all_only() -> None:
@@ -171,12 +184,13 @@ def test_very_many_groups_are_tested_over_all_only() -> None:
         {str(g): ended(range(g, g + 6)) for g in range(100)}, "generations"
     )
     assert len(found.rows) == 100
-    assert (found.pairs, found.untested.partition(":")[0]) == (
+    (family,) = found.families
+    assert (found.pairs, family.untested.partition(":")[0]) == (
         [],
         "100 groups make 4950 pairs; at most 1000 are tested",
     )
-    assert found.kruskal_p is not None
-    assert found.kruskal_p < comparison.LEVEL
+    assert family.kruskal_p is not None
+    assert family.kruskal_p < LEVEL
 
 
 def test_without_scipy_the_table_is_shown_with_an_install_hint(
@@ -187,15 +201,14 @@ def test_without_scipy_the_table_is_shown_with_an_install_hint(
             f"{what} needs {module.partition('.')[0]}: pip install 'zswarm[{extra}]'"
         )
 
-    monkeypatch.setattr(comparison, "need", missing)
+    monkeypatch.setattr(significance, "need", missing)
     found = comparison.of_series(
         {"a": ended(range(5)), "b": ended(range(5))}, "generations"
     )
     assert len(found.rows) == 2
-    assert (
-        found.untested
-        == "the test between groups needs scipy: pip install 'zswarm[plot]'"
-    )
+    assert found.untested == [
+        ("", "the test between groups needs scipy: pip install 'zswarm[plot]'")
+    ]
 
 
 # ---- recorded runs
@@ -233,7 +246,7 @@ def test_generations_under_a_budget_have_no_known_end(tmp_path: Path) -> None:
 def test_the_summary_needs_no_scipy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(comparison, "need", None)
+    monkeypatch.setattr(significance, "need", None)
     groups = grouping.groups(
         [Run(written(tmp_path, [1, hidden], hidden=hidden)) for hidden in (1, 2)]
     )
@@ -279,27 +292,46 @@ def test_a_difference_without_a_significant_pair_is_explained() -> None:
         "c": ended([0, 1, 3, 5, 6]),
     }
     found = comparison.of_series(groups, "generations")
-    assert found.kruskal_p is not None
-    assert found.kruskal_p < comparison.LEVEL < min(pair.p_holm for pair in found.pairs)
-    assert comparison.disagreement(found).startswith(
+    (family,) = found.families
+    assert family.kruskal_p is not None
+    assert family.kruskal_p < LEVEL < min(pair.p_holm for pair in found.pairs)
+    assert significance.disagreement(family, found.pairs).startswith(
         "That some group differs is shown, but not which"
     )
+    assert significance.disagreement(family, []) == ""
     clear = {
         "a": ended([10, 11, 12, 13, 14]),
         "b": ended([15, 16, 17, 18, 19]),
         "c": ended([0, 1, 2, 3, 4]),
     }
-    assert comparison.disagreement(comparison.of_series(clear, "generations")) == ""
-    assert comparison.disagreement(found._replace(pairs=[])) == ""
+    found = comparison.of_series(clear, "generations")
+    assert significance.disagreement(found.families[0], found.pairs) == ""
 
 
 def test_words_give_the_p_value_and_the_corrected_one() -> None:
     """A corrected p is no probability of chance: it is named for what it is."""
-    pair = comparison.Pair("a", "b", 25.0, 0.008, 0.048, 1.0, "exact")
-    words = comparison.describe(pair)
+    pair = Pair("a", "b", 25.0, 0.008, 0.048, 1.0, "exact")
+    words = comparison.describe(pair, "fitness")
     assert words.endswith("A12 = 1.00 (large effect), p = 0.008, Holm-adjusted p = 0.048")
-    alone = comparison.describe(pair._replace(p_holm=0.008))
+    alone = comparison.describe(pair._replace(p_holm=0.008), "fitness")
     assert alone.endswith("A12 = 1.00 (large effect), p = 0.008")
+
+
+@pytest.mark.parametrize(
+    ("measure", "words"),
+    [
+        ("search", "b has a higher best fitness in search than a: A12 = 1.00"),
+        ("held-out", "b is better than a: A12 = 1.00"),
+        ("fitness", "b is better than a: A12 = 1.00"),
+        ("collisions", "b has a higher mean of collisions than a: A12 = 1.00"),
+    ],
+)
+def test_only_what_champions_do_on_held_out_seeds_is_called_better(
+    measure: str, words: str
+) -> None:
+    """The best fitness in search is partly luck, and of a metric lower may be better."""
+    pair = Pair("a", "b", 0.0, 0.008, 0.008, 0.0, "exact")
+    assert comparison.describe(pair, measure).startswith(words)
 
 
 def budgeted(trials: int, generations: int, best: float) -> Series:

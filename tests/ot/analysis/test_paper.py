@@ -117,7 +117,10 @@ def test_champions_of_a_study_are_compared_by_a_metric(study: Path) -> None:
         "hidden 4": 5,
     }
     told = json.loads(typed("compare", str(study), "--measure", "escaped", "--json"))
-    assert told["of"].startswith("champion's escaped in the trials of evaluate")
+    assert told["of"] == (
+        "champion's escaped on held-out seeds, mean per trial (trials of zswarm-ot evaluate)"
+    )
+    assert (told["by"], told["at"]) == (None, None)
     assert told["pairs"][0]["a12"] == 0.5
     assert len(zswarm.tidy(study, rows="trials")) == 60
     with pytest.raises(

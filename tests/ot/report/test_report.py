@@ -334,7 +334,7 @@ def test_a_study_has_a_page_with_its_comparison(tmp_path: Path) -> None:
     assert result.output == f"{output}\n"
     page = assert_harmless(output.read_text())
     assert "8 runs in 2 groups; 8 finished." in page.text
-    assert "hidden 2 is better than hidden 1" in page.text
+    assert "hidden 2 has a higher best fitness in search than hidden 1" in page.text
     assert (
         "zswarm-ot run study/stadium/experiment.toml # one of the runs again"
         in " ".join(page.text.split())

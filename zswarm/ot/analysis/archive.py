@@ -11,6 +11,7 @@ import numpy as np
 from zswarm.errors import ConfigError
 from zswarm.ot.analysis import drawing
 from zswarm.ot.analysis.drawing import FigureStyle
+from zswarm.ot.analysis.measure import EACH
 from zswarm.ot.record.reader import Run
 from zswarm.system.text import clean
 
@@ -89,7 +90,7 @@ def draw(found: Archive, size: FigureStyle, title: str = "") -> "Figure":
         axes.set_xlabel(found.names[0])
         axes.set_ylabel(drawing.upright(found.names[1], size))
         bar = figure.colorbar(image, ax=axes)
-        bar.set_label("fitness, mean of a trial")
+        bar.set_label(f"fitness, {EACH}")
         coverage = f"{100 * found.coverage:.0f} % of the cells"
         text = f"{clean(title)}: {coverage}" if title else coverage
         axes.set_title(text, loc="left", fontsize=size.font)

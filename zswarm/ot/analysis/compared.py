@@ -8,36 +8,45 @@ from zswarm.errors import ConfigError
 from zswarm.ot.analysis import comparison, curves, effect_size, importance, measure
 from zswarm.ot.analysis.comparison import By, Comparison
 from zswarm.ot.analysis.effect_size import Friedman
-from zswarm.ot.analysis.figures import EACH
-from zswarm.ot.analysis.grouping import flat
-from zswarm.ot.analysis.measure import SEARCH
+from zswarm.ot.analysis.grouping import flat, in_problem, method
+from zswarm.ot.analysis.measure import HELD_OUT, SEARCH
 from zswarm.ot.record.reader import Run
 
-PROBLEM = "problem."
+LUCK = "the best fitness in search is partly luck: "
+ASSESSED = (
+    f"{LUCK}compare --measure held-out compares what the champions do on other seeds"
+)
 UNASSESSED = (
-    "no champion was assessed on held-out seeds: where trials differ by seed, zswarm-ot evaluate "
-    "FOLDER plays all champions on the same seeds, and compare --measure fitness compares them"
+    f"{LUCK}where trials differ by seed, zswarm-ot evaluate FOLDER plays all champions on the same "
+    "held-out seeds, and compare --measure fitness compares them"
 )
 
 
-def compare(groups: Mapping[str, Sequence[Run]], by: By | None, of: str) -> Comparison:
-    """Compare groups.
+def compare(
+    groups: Mapping[str, Sequence[Run]], by: By | None = None, of: str | None = None
+) -> Comparison:
+    """Compare groups; the tests are within each problem.
 
     Args:
         by: None: what all runs have a budget of, else generations.
-        of: ``search``, ``held-out``, ``fitness`` or a metric.
+        of: ``search``, ``held-out``, ``fitness`` or a metric; None: ``search`` with ``by``, else
+            as ``measure.usual``.
 
     Raises:
         ConfigError: runs cannot be compared, or have no such number.
     """
     settings = {group: flat(members[0].experiment) for group, members in groups.items()}
     runs = [run for members in groups.values() for run in members]
+    if of is None:
+        of = SEARCH if by else measure.usual(runs)
     if of == SEARCH:
         loaded, notes = curves.load(groups)
         found = comparison.of_series(loaded, by or usual(runs), notes, settings)
         finished = [run for run in runs if run.finished]
-        if finished and all(run.held_out is None for run in finished):
-            found = found._replace(notes=[*found.notes, UNASSESSED])
+        if finished:
+            assessed = measure.usual(finished) == HELD_OUT
+            hint = ASSESSED if assessed else UNASSESSED
+            found = found._replace(notes=[*found.notes, hint])
         if len(finished) == len(runs):
             return found
         why = "not all of the runs are finished"
@@ -56,7 +65,7 @@ def compare(groups: Mapping[str, Sequence[Run]], by: By | None, of: str) -> Comp
         }
         values, _, _ = measure.values(counted, of)
     notes = [*left_out, *notes]
-    return comparison.of_values(values, loaded, measure.words(of), notes, settings)
+    return comparison.of_values(values, loaded, of, notes, settings)
 
 
 def usual(runs: Sequence[Run]) -> By:
@@ -68,9 +77,14 @@ def usual(runs: Sequence[Run]) -> By:
 
 
 def numbers(
-    groups: Mapping[str, Sequence[Run]], of: str
+    groups: Mapping[str, Sequence[Run]], of: str | None
 ) -> tuple[dict[str, np.ndarray], str, list[str]]:
-    """Return one number of each run by group, what it is, and notes on omitted runs."""
+    """Return one number of each run by group, what it is, and notes on omitted runs.
+
+    Args:
+        of: as for ``compare``.
+    """
+    of = of or measure.usual([run for members in groups.values() for run in members])
     if of != SEARCH:
         values, _, left_out = measure.values(groups, of)
         return values, measure.words(of), left_out
@@ -81,7 +95,7 @@ def numbers(
             name: np.array([run.best[-1] for run in runs])
             for name, runs in started.items()
         },
-        f"best fitness, {EACH}",
+        measure.words(of),
         notes,
     )
 
@@ -91,20 +105,12 @@ def over_problems(
 ) -> Friedman | None:
     """Rank methods over the problems of a comparison; None if there are too few."""
     medians: dict[str, dict[str, float]] = {}
-    rows = {row.group: row for row in found.rows}
     names: dict[str, str] = {}
-    for group, members in groups.items():
-        if group not in rows:
-            continue
-        values = flat(members[0].experiment)
-        problem = {key: value for key, value in values.items() if key.startswith(PROBLEM)}
-        method = repr(
-            sorted((key, value) for key, value in values.items() if key not in problem)
-        )
-        names.setdefault(method, group)
-        median = rows[group].median
-        row = medians.setdefault(repr(sorted(problem.items())), {})
-        row[method] = -np.inf if median is None else median
+    for row in found.rows:
+        key = repr(sorted(method(groups[row.group][0]).items()))
+        names.setdefault(key, row.group.removesuffix(in_problem(row.problem)))
+        median = -np.inf if row.median is None else row.median
+        medians.setdefault(row.problem, {})[key] = median
     ranked = effect_size.friedman(medians)
     if ranked is None:
         return None

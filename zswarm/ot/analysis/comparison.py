@@ -1,12 +1,8 @@
 """Compare groups of runs: medians and quartiles, and whether a difference may be chance.
 
-Tests: Mann-Whitney U on the best fitness of runs (Mann and Whitney 1947), Kruskal-Wallis over more
-than two groups, Holm's correction for many pairs (Holm 1979). The size of an effect is Vargha and
-Delaney's A12 (2000). Only the tests need scipy.
+The size of an effect is Vargha and Delaney's A12 (2000).
 """
 
-import itertools
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -15,21 +11,15 @@ import numpy as np
 from zswarm.errors import ConfigError
 from zswarm.ot.analysis import curves
 from zswarm.ot.analysis.curves import Groups, Series
-from zswarm.ot.analysis.effect_size import a12_interval
+from zswarm.ot.analysis.effect_size import LEVEL, effect
+from zswarm.ot.analysis.grouping import in_problem
 from zswarm.ot.analysis.importance import Importance, of_groups
-from zswarm.system.extras import need
+from zswarm.ot.analysis.measure import FITNESS, HELD_OUT, SEARCH, source, words
+from zswarm.ot.analysis.significance import Family, Pair, p_values, within
 from zswarm.system.format import plural
 
 By = Literal["generations", "evaluations", "simulations"]
-LEVEL = 0.05  # of significance
-SEARCH = "best fitness in search"
-PERMUTATIONS = 15_000  # at most, if ties forbid the exact distribution
-MAX_PAIRS = 1000
-EXACT = 100  # runs of a group up to which the exact distribution is computed
-KRUSKAL = 5  # runs of each group from which on its asymptotic distribution is accurate
 UNEQUAL = 1.1  # ratio of evaluations from which on a note warns
-# By A12; above, an effect is large.
-EFFECTS = ((0.56, "negligible"), (0.64, "small"), (0.71, "medium"))
 SCORES = (
     "candidates of these runs played each other: their fitness is a score, which compares within "
     "one generation only; zswarm-ot evaluate RUN --against RUN has two champions play each other"
@@ -51,44 +41,39 @@ class Row(NamedTuple):
     # Median of the champions' means on held-out seeds; None: no run was assessed.
     held_out: float | None
     simulations: float  # likewise
-
-
-class Pair(NamedTuple):
-    """Two groups, tested."""
-
-    first: str
-    second: str
-    u: float  # Mann-Whitney's U of the first
-    p: float  # two-sided
-    p_holm: float  # corrected for the number of pairs
-    a12: float  # probability that a run of the first beats one of the second, ties count half
-    method: str  # exact, permutation or asymptotic
-    a12_low: float = 0.0  # 95 % interval
-    a12_high: float = 1.0
-
-    @property
-    def delta(self) -> float:
-        """Cliff's delta."""
-        return 2 * self.a12 - 1
-
-    def as_object(self) -> dict[str, Any]:
-        """Return what is reported to programs."""
-        return {**self._asdict(), "delta": self.delta, "effect": effect(self.a12)}
+    problem: str = ""  # as in ``Family``
 
 
 class Comparison(NamedTuple):
-    """All groups and pairs."""
+    """All groups, and the pairs of each problem."""
 
-    by: By
-    at: float  # generations, evaluations or simulations
+    by: By | None  # None: whole runs are compared
+    at: float | None  # generations, evaluations or simulations; None: of each run all
     rows: list[Row]
     pairs: list[Pair]
-    # Over all groups, if there are more than two and large enough.
-    kruskal_p: float | None
-    untested: str  # why there is no test, or ""
+    families: list[Family]  # one for each problem
     notes: list[str]  # for the reader of the numbers
-    of: str = SEARCH  # what is compared
+    measure: str = SEARCH
     importance: Importance | None = None  # of settings, if there are several groups
+
+    @property
+    def of(self) -> str:
+        """What is compared."""
+        return f"{words(self.measure)}{source(self.measure)}"
+
+    @property
+    def of_search(self) -> bool:
+        """Whether fitness in search is compared, next to which that on held-out seeds is shown."""
+        return self.measure == SEARCH
+
+    @property
+    def untested(self) -> list[tuple[str, str]]:
+        """Problems whose pairs are not tested, such as " (foraging)" or "", and why."""
+        return [
+            (in_problem(family.problem), family.untested)
+            for family in self.families
+            if family.untested
+        ]
 
 
 class _Sample(NamedTuple):
@@ -125,18 +110,14 @@ def of_series(
     samples = {group: _sample(members, axis, at) for group, members in started.items()}
     rows = [_row(group, sample, started[group]) for group, sample in samples.items()]
     values = {name: sample.best for name, sample in samples.items()}
-    pairs, kruskal_p, untested = _test(values)
     notes = [*notes, *_notes(samples, rows, by, ends)]
-    explained = of_groups(settings, values) if settings and len(values) > 1 else None
-    return Comparison(
-        by, at, rows, pairs, kruskal_p, untested, notes, importance=explained
-    )
+    return _compared(by, at, rows, values, notes, SEARCH, settings)
 
 
 def of_values(
     values: Mapping[str, np.ndarray],
     groups: Groups,
-    of: str,
+    measure: str,
     notes: Sequence[str] = (),
     settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Comparison:
@@ -145,7 +126,7 @@ def of_values(
     Args:
         values: by group, (runs,) float64, higher is better.
         groups: with the same names, for the effort.
-        of: what the numbers are.
+        measure: what the numbers are: ``held-out``, ``fitness`` or a metric.
         settings: of each group, by keys, for their importance.
     """
     samples = {}
@@ -153,66 +134,68 @@ def of_values(
         ends = [_effort(run, -1) for run in groups[group]]
         samples[group] = _Sample(numbers, *np.array(ends, np.float64).reshape(-1, 3).T)
     rows = [_row(group, sample, groups[group]) for group, sample in samples.items()]
-    pairs, kruskal_p, untested = _test(values)
-    at = float(max(len(run.best) for runs in groups.values() for run in runs))
-    explained = of_groups(settings, values) if settings and len(values) > 1 else None
-    return Comparison(
-        "generations", at, rows, pairs, kruskal_p, untested, list(notes), of, explained
-    )
+    notes = [*notes, *_notes(samples, rows, None, set())]
+    return _compared(None, None, rows, values, notes, measure, settings)
 
 
-def effect(a12: float) -> str:
-    """Name the size of an effect."""
-    size = max(a12, 1.0 - a12)
-    return next((name for bound, name in EFFECTS if size < bound), "large")
-
-
-def describe(pair: Pair) -> str:
-    """Describe the result of a test in plain words."""
-    better, worse, chance = pair.first, pair.second, pair.a12
-    if chance < 0.5:
-        better, worse, chance = pair.second, pair.first, 1.0 - pair.a12
-    if pair.p_holm < LEVEL:
-        return (
-            f"{better} is better than {worse}: A12 = {chance:.2f} ({effect(chance)} effect), "
-            f"{p_values(pair)}"
+def explanation(found: Comparison) -> str:
+    """Return what the numbers of the groups are."""
+    unit = effort_unit(found.rows)
+    what = f"Compared: {found.of}"
+    costs = f"{unit} and time are the medians of its runs."
+    if found.at is not None and found.by is not None:
+        spent = found.by if found.at != 1 else found.by.removesuffix("s")
+        what += f", of each run after {found.at:.0f} {spent}"
+        costs = (
+            "Held-out is what the champions of finished runs do on seeds that search did not use; "
+            f"it, {costs}"
         )
+    else:
+        costs = costs.capitalize()
+    better = "; higher is better" if found.measure in (SEARCH, HELD_OUT, FITNESS) else ""
     return (
-        f"{pair.first} vs. {pair.second}: no significant difference ({p_values(pair)}); it may be "
-        "chance, or more runs are needed"
+        f"{what}{better}. Half of a group's runs are above the median, and half lie between the "
+        f"quartiles. {costs}"
     )
 
 
-def p_values(pair: Pair) -> str:
-    """Format the p-value of a pair, and the one corrected for several pairs if it differs."""
-    text, adjusted = p_value(pair.p), p_value(pair.p_holm)
-    return text if pair.p == pair.p_holm else f"{text}, Holm-adjusted {adjusted}"
+def describe(pair: Pair, measure: str) -> str:
+    """Describe the result of a test in plain words."""
+    better, worse, chance = ordered(pair)
+    if pair.p_holm >= LEVEL:
+        return (
+            f"{pair.first} vs. {pair.second}: no significant difference ({p_values(pair)}); it may "
+            "be chance, or more runs are needed"
+        )
+    verb = f"has a higher mean of {measure} than"
+    if measure == SEARCH:  # which luck is a part of
+        verb = "has a higher best fitness in search than"
+    elif measure in (HELD_OUT, FITNESS):
+        verb = "is better than"
+    size = f"A12 = {chance:.2f} ({effect(chance)} effect)"
+    return f"{better} {verb} {worse}: {size}, {p_values(pair)}"
 
 
-def disagreement(found: Comparison) -> str:
-    """Explain a significant test over all groups without a significant pair; else return ""."""
-    pairs_show = any(pair.p_holm < LEVEL for pair in found.pairs)
-    if (
-        found.kruskal_p is None
-        or found.kruskal_p >= LEVEL
-        or not found.pairs
-        or pairs_show
-    ):
-        return ""
-    return (
-        "That some group differs is shown, but not which: the test of each pair, corrected for "
-        "their number, is stricter. More runs may show it."
-    )
+def ordered(pair: Pair) -> tuple[str, str, float]:
+    """Return the group with the higher numbers, the other, and A12 of the first of them."""
+    if pair.a12 < 0.5:
+        return pair.second, pair.first, 1.0 - pair.a12
+    return pair.first, pair.second, pair.a12
 
 
-def p_value(p: float) -> str:
-    """Format a probability as papers print it: ``p = 0.012``, ``p < 0.001``."""
-    return "p < 0.001" if p < 0.001 else f"p = {p:.2g}" if p >= 0.1 else f"p = {p:.3f}"
-
-
-def runs_needed(pairs: int = 1) -> int:
-    """Return how many runs per group a significant difference takes at least."""
-    return next(n for n in itertools.count(2) if pairs * _least_p(n, n) < LEVEL)
+def _compared(
+    by: By | None,
+    at: float | None,
+    rows: list[Row],
+    values: Mapping[str, np.ndarray],
+    notes: list[str],
+    measure: str,
+    settings: Mapping[str, Mapping[str, Any]] | None,
+) -> Comparison:
+    """Add the tests and the importance of settings."""
+    pairs, families = within({row.group: row.problem for row in rows}, values)
+    explained = of_groups(settings, values) if settings and len(values) > 1 else None
+    return Comparison(by, at, rows, pairs, families, notes, measure, explained)
 
 
 def _sample(runs: Sequence[Series], axis: curves.Axis, at: float) -> _Sample:
@@ -240,7 +223,8 @@ def _row(group: str, sample: _Sample, runs: Sequence[Series]) -> Row:
     held_out = float(np.median(means)) if means else None
     simulations = float(np.median(sample.simulations))
     best = curves.spread(sample.best)
-    return Row(group, len(sample.best), *best, *spent, held_out, simulations)
+    problem = runs[0].problem
+    return Row(group, len(sample.best), *best, *spent, held_out, simulations, problem)
 
 
 def effort_unit(rows: Sequence[Row]) -> Literal["evaluations", "simulations"]:
@@ -250,97 +234,34 @@ def effort_unit(rows: Sequence[Row]) -> Literal["evaluations", "simulations"]:
 
 
 def _notes(
-    samples: Mapping[str, _Sample], rows: Sequence[Row], by: By, ends: set[float]
+    samples: Mapping[str, _Sample], rows: Sequence[Row], by: By | None, ends: set[float]
 ) -> list[str]:
+    """Return notes on the effort and on failures.
+
+    Args:
+        by: None: whole runs are compared.
+        ends: of the runs.
+    """
     notes, unit = [], effort_unit(rows)
-    spent = [getattr(row, unit) for row in rows]
     if by == "generations" and len(ends) > 1:
         least = plural(int(min(ends)), "generation")
         notes.append(
             f"runs are of unequal length: compared after {least}, which all have"
         )
-    if by != unit and max(spent) > UNEQUAL * min(spent):
+    if by != unit and _unequal(rows, unit):
+        what = "gives a comparison" if by else "compares the best fitness in search"
         notes.append(
-            f"the groups used different numbers of {unit}; compare --by {unit} gives a "
-            "comparison at equal effort"
+            f"the groups used different numbers of {unit}; compare --by {unit} {what} at equal "
+            "effort"
         )
     if any(np.isneginf(sample.best).any() for sample in samples.values()):
         notes.append("runs in which every candidate failed count as the worst")
     return notes
 
 
-def _test(samples: Mapping[str, np.ndarray]) -> tuple[list[Pair], float | None, str]:
-    """Return the pairs, p over all groups, and why there is no test."""
-    if len(samples) < 2:
-        return [], None, ""
-    pairs = list(itertools.combinations(samples, 2))
-    sizes = {group: len(sample) for group, sample in samples.items()}
-    smallest, count = min(sizes.values()), len(pairs)
-    untested = ""
-    if count > MAX_PAIRS:
-        untested = (
-            f"{len(samples)} groups make {count} pairs; at most {MAX_PAIRS} are tested: "
-            "compare fewer groups"
-        )
-    elif all(count * _least_p(sizes[a], sizes[b]) >= LEVEL for a, b in pairs):
-        untested = (
-            f"a difference between two groups can be shown with {runs_needed(count)} or more runs "
-            f"of each; the smallest here has {smallest}"
-        )
-    overall = len(samples) > 2 and smallest >= KRUSKAL
-    if untested and not overall:
-        return [], None, untested
-    try:
-        stats = need("scipy.stats", "plot", "the test between groups")
-    except ConfigError as error:
-        return [], None, str(error)
-    tested = []
-    if not untested:
-        tested = [_mann_whitney(stats, a, samples[a], b, samples[b]) for a, b in pairs]
-    corrected = _holm([pair.p for pair in tested])
-    tested = [pair._replace(p_holm=p) for pair, p in zip(tested, corrected, strict=True)]
-    return tested, _kruskal(stats, list(samples.values())) if overall else None, untested
-
-
-def _mann_whitney(
-    stats: Any, first: str, a: np.ndarray, second: str, b: np.ndarray
-) -> Pair:
-    ranks = stats.rankdata(np.concatenate([a, b]))  # scipy's test does not take -inf
-    a, b = ranks[: len(a)], ranks[len(a) :]
-    distinct = len(np.unique(ranks))
-    if distinct == 1:
-        half = len(a) * len(b) / 2
-        interval = a12_interval(0.5, len(a), len(b))
-        return Pair(first, second, half, 1.0, 1.0, 0.5, "exact", *interval)
-    name = method = "asymptotic"
-    if distinct == len(ranks) and max(len(a), len(b)) <= EXACT:
-        name = method = "exact"
-    elif distinct < len(ranks) and math.comb(len(ranks), len(a)) <= PERMUTATIONS:
-        name, method = "permutation", stats.PermutationMethod(n_resamples=PERMUTATIONS)
-    result = stats.mannwhitneyu(a, b, alternative="two-sided", method=method)
-    u = float(result.statistic)
-    a12, p = u / (len(a) * len(b)), min(1.0, float(result.pvalue))
-    interval = a12_interval(a12, len(a), len(b))
-    return Pair(first, second, u, p, 1.0, a12, name, *interval)
-
-
-def _kruskal(stats: Any, samples: Sequence[np.ndarray]) -> float:
-    ranks = stats.rankdata(np.concatenate(samples))
-    if len(np.unique(ranks)) == 1:
-        return 1.0
-    parts = np.split(ranks, np.cumsum([len(sample) for sample in samples])[:-1])
-    return float(stats.kruskal(*parts).pvalue)
-
-
-def _holm(p: Sequence[float]) -> list[float]:
-    """Multiply the k-th smallest of m by m - k + 1; the results never decrease."""
-    corrected, least = [0.0] * len(p), 0.0
-    for place, index in enumerate(sorted(range(len(p)), key=lambda index: p[index])):
-        least = max(least, min(1.0, (len(p) - place) * p[index]))
-        corrected[index] = least
-    return corrected
-
-
-def _least_p(m: int, n: int) -> float:
-    """Return the smallest two-sided p: all runs of one group beat all of the other."""
-    return 2 / math.comb(m + n, m)
+def _unequal(rows: Sequence[Row], unit: str) -> bool:
+    """Return whether groups of the same problem used different numbers of these."""
+    spent: dict[str, list[float]] = {}
+    for row in rows:
+        spent.setdefault(row.problem, []).append(getattr(row, unit))
+    return any(max(found) > UNEQUAL * min(found) for found in spent.values())

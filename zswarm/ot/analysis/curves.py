@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 
 from zswarm.errors import ConfigError
+from zswarm.ot.analysis import grouping
 from zswarm.ot.record.epochs import epochs, mark
 from zswarm.system.format import plural
 from zswarm.system.text import clean
@@ -33,9 +34,11 @@ class Series(NamedTuple):
     # (tracked, 4): generation, and mean of its best on held-out seeds with its 95 % interval.
     track: np.ndarray = np.empty((0, 4))
     trials: int = 1  # of an evaluation
+    problem: str = ""  # as ``grouping.problems`` names it
 
 
 Groups = Mapping[str, Sequence[Series]]
+LUCKY = {"trials": "numbers of trials", "seeds": "seeds (fixed or fresh)"}
 
 
 class Curve(NamedTuple):
@@ -103,9 +106,11 @@ def load(
     """
     every = [run for runs in groups.values() for run in runs]
     loaded, notes = {}, problems(every, search=search)
+    names = iter(grouping.problems(every))
     for group, runs in groups.items():
         counted, omitted = distinct(runs)
-        loaded[group] = [series(run) for run in counted]
+        (problem,) = {next(names) for _ in runs}
+        loaded[group] = [series(run)._replace(problem=problem) for run in counted]
         notes += [*omitted, *unfinished(counted), *mixed(counted)]
     return loaded, notes
 
@@ -137,13 +142,14 @@ def mixed(runs: Iterable["Run"]) -> list[str]:
 
 
 def problems(runs: Iterable["Run"], *, search: bool = True) -> list[str]:
-    """Return a note if the runs have different problems."""
+    """Return notes if the runs have different problems, or candidates with different trials."""
 
     def judged_by(run: "Run") -> dict[str, Any]:
         problem = run.experiment.problem
         return {
             "simulator": problem.simulator,
             "trials": problem.trials,
+            "seeds": problem.seeds,
             **problem.settings,
         }
 
@@ -156,16 +162,17 @@ def problems(runs: Iterable["Run"], *, search: bool = True) -> list[str]:
     differing = [
         key for key in keys if len({repr(problem.get(key)) for problem in found}) > 1
     ]
-    if differing == ["trials"]:
-        text = (
-            "the runs' candidates have different numbers of trials: with fewer, the best fitness "
-            "in search owes more to luck; compare --measure held-out compares champions alike"
+    notes = []
+    if search and (lucky := [LUCKY[key] for key in differing if key in LUCKY]):
+        notes.append(
+            f"the runs' candidates have different {' and '.join(lucky)}: with fresh seeds or fewer "
+            "trials, the best fitness in search owes more to luck"
         )
-        return [text] if search else []
-    if not differing:
-        return []
-    names = clean(", ".join(differing))
-    return [f"runs whose problems differ in {names}: their fitness may not compare"]
+    if names := clean(", ".join(key for key in differing if key not in LUCKY)):
+        notes.append(
+            f"runs whose problems differ in {names}: their fitness may not compare"
+        )
+    return notes
 
 
 def unfinished(runs: Sequence["Run"]) -> list[str]:

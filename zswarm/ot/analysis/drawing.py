@@ -161,15 +161,18 @@ def _draw(plot: Plot, style: FigureStyle) -> "Figure":
         figure.suptitle(title, x=0.01, ha="left", fontweight="bold", fontsize=style.font)
     _legend(axes, handles, labels, columns)
     if plot.note:
+        small = 0.85 * style.font
         axes.annotate(
-            plot.note,
+            "\n".join(
+                _fitting(line, small, 0.95 * room) for line in plot.note.splitlines()
+            ),
             (1.0, 0.0),
             (0.0, -2.9 * style.font - 6.0),
             xycoords="axes fraction",
             textcoords="offset points",
             ha="right",
             va="top",
-            fontsize=style.font * 0.85,
+            fontsize=small,
             color=GREY,
         )
     return figure

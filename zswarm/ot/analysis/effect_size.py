@@ -5,6 +5,7 @@ and McNeil's variance at the bound itself, so that it holds for few runs and for
 Friedman's test ranks methods within each problem (Demsar 2006, JMLR 7, 1-30).
 """
 
+import itertools
 import math
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -15,6 +16,9 @@ from zswarm.system.extras import need
 
 Z = 1.959963984540054  # of 95 %
 STEPS = 60  # of a bisection
+LEVEL = 0.05  # of significance
+# By A12; above, an effect is large.
+EFFECTS = ((0.56, "negligible"), (0.64, "small"), (0.71, "medium"))
 
 
 class Friedman(NamedTuple):
@@ -24,6 +28,7 @@ class Friedman(NamedTuple):
     ranks: dict[str, float]  # mean rank of each method; 1 is the best
     statistic: float  # chi squared
     p: float
+    needed: int  # problems from which on a difference can be significant
 
 
 def a12_interval(a12: float, m: int, n: int) -> tuple[float, float]:
@@ -31,6 +36,12 @@ def a12_interval(a12: float, m: int, n: int) -> tuple[float, float]:
     low = _bound(a12, m, n, 0.0) if a12 > 0.0 else 0.0
     high = _bound(a12, m, n, 1.0) if a12 < 1.0 else 1.0
     return low, high
+
+
+def effect(a12: float) -> str:
+    """Name the size of an effect."""
+    size = max(a12, 1.0 - a12)
+    return next((name for bound, name in EFFECTS if size < bound), "large")
 
 
 def friedman(medians: Mapping[str, Mapping[str, float]]) -> Friedman | None:
@@ -47,10 +58,17 @@ def friedman(medians: Mapping[str, Mapping[str, float]]) -> Friedman | None:
     table = np.array([[row[method] for method in methods] for row in whole])
     ranks = np.stack([stats.rankdata(-row) for row in table])
     means = dict(zip(methods, ranks.mean(axis=0).tolist(), strict=True))
+    freedom = len(methods) - 1
+    needed = next(  # chi squared of problems that all rank the methods alike
+        count
+        for count in itertools.count(2)
+        if stats.chi2.sf(count * freedom, freedom) < LEVEL
+    )
     if (ranks == ranks[:, :1]).all():
-        return Friedman(len(whole), means, 0.0, 1.0)
+        return Friedman(len(whole), means, 0.0, 1.0, needed)
     found = stats.friedmanchisquare(*ranks.T)
-    return Friedman(len(whole), means, float(found.statistic), float(found.pvalue))
+    numbers = float(found.statistic), float(found.pvalue)
+    return Friedman(len(whole), means, *numbers, needed)
 
 
 def _bound(a12: float, m: int, n: int, outer: float) -> float:

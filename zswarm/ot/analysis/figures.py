@@ -16,6 +16,8 @@ from zswarm.ot.analysis import comparison, curves, drawing
 from zswarm.ot.analysis.comparison import Comparison
 from zswarm.ot.analysis.curves import Axis, Curve, Groups, Series
 from zswarm.ot.analysis.drawing import MAX_GROUPS, SIZES, CurveLine, Plot, Size
+from zswarm.ot.analysis.measure import EACH
+from zswarm.ot.analysis.significance import p_value
 from zswarm.system.extras import need
 from zswarm.system.files import write_for_user
 from zswarm.system.format import plural
@@ -26,7 +28,6 @@ if TYPE_CHECKING:
 FORMATS = ("pdf", "svg", "png")
 BAND = 3  # runs from which on quartiles are drawn
 DPI = 300
-EACH = "mean of a trial"
 
 
 def of_series(
@@ -140,15 +141,22 @@ def table(groups: Groups, axis: Axis) -> tuple[list[str], list[list[object]]]:
 
 
 def tested(found: Comparison) -> str:
-    """Return the result of the test as a note below a figure, or ""."""
-    when = f"after {found.at:,.0f} {found.by if found.at != 1 else found.by.removesuffix('s')}"
-    if found.kruskal_p is not None:
-        return f"Kruskal-Wallis {when}: {comparison.p_value(found.kruskal_p)}"
-    if len(found.pairs) != 1:
-        return ""
-    pair = found.pairs[0]
-    p, a12 = comparison.p_value(pair.p), max(pair.a12, 1 - pair.a12)
-    return f"Mann-Whitney U {when}: {p}, A12 = {a12:.2f}"
+    """Return the results of the tests as a note below a figure, a line or two for each problem."""
+    lines = []
+    when = "" if found.by is None else f" after {found.at:,.0f} {found.by}"
+    if found.at == 1:
+        when = when.removesuffix("s")
+    for problem, kruskal_p, _ in found.families:
+        where = f"{problem}: " if problem else ""
+        if kruskal_p is not None:
+            lines.append(f"{where}Kruskal-Wallis{when}: {p_value(kruskal_p)}")
+            continue
+        pairs = [pair for pair in found.pairs if pair.problem == problem]
+        if len(pairs) == 1:
+            higher, lower, a12 = comparison.ordered(pairs[0])
+            lines.append(f"{where}Mann-Whitney U{when}: {p_value(pairs[0].p)}")
+            lines.append(f"A12 = {a12:.2f} of {higher} over {lower}")
+    return "\n".join(lines)
 
 
 def _either(words: Sequence[str]) -> str:

@@ -5,14 +5,9 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from zswarm.ot.analysis.comparison import (
-    LEVEL,
-    Comparison,
-    Pair,
-    Row,
-    effect,
-    effort_unit,
-)
+from zswarm.ot.analysis.comparison import Comparison, Row, effort_unit, ordered
+from zswarm.ot.analysis.effect_size import LEVEL, effect
+from zswarm.ot.analysis.significance import Pair
 from zswarm.system.text import clean
 
 SPECIAL = {
@@ -21,7 +16,7 @@ SPECIAL = {
     "^": r"\textasciicircum{}",
     **{letter: f"\\{letter}" for letter in "&%$#_{}"},
 }
-GROUPS = ("", "runs", "median", "quartiles", "best", "held-out")
+GROUPS = ("", "runs", "median", "quartiles", "best")
 PLAIN = (
     1e-3,
     1e6,
@@ -32,23 +27,33 @@ PAIRS = ("", "", "$U$", "$p$", r"$p_\mathrm{Holm}$", "$A_{12}$", r"95\,\%", "eff
 def tables(found: Comparison) -> str:
     """Return the table of groups and, if groups were tested, that of pairs.
 
-    A group that is significantly better than each other one is bold. The notes of the comparison
-    are comments.
+    A group that is significantly better than each other one of its problem is bold. The notes of
+    the comparison are comments.
     """
     best = _best(found)
     comments = [
         f"{found.of}; needs \\usepackage{{booktabs}}",
         *found.notes,
-        *([f"no test: {found.untested}"] if found.untested else []),
-        *(["bold: significantly better than each other group"] if best else []),
+        *(f"no test{where}: {why}" for where, why in found.untested),
+        *(
+            ["bold: significantly higher than each other group of its problem"]
+            if best
+            else []
+        ),
     ]
     unit = effort_unit(found.rows)
-    form = _form(found.rows)
-    rows = [
-        (*_group(row, form, bold=row.group == best), f"{getattr(row, unit):.0f}")
-        for row in found.rows
-    ]
-    parts = [*(f"% {clean(text)}" for text in comments), tabular((*GROUPS, unit), rows)]
+    forms = {
+        problem: _form([row for row in found.rows if row.problem == problem])
+        for problem in {row.problem for row in found.rows}
+    }
+    rows = []
+    for row in found.rows:
+        form = forms[row.problem]
+        held_out = [number(row.held_out, form)] if found.of_search else []
+        effort = f"{getattr(row, unit):.0f}"
+        rows.append([*_group(row, form, bold=row.group in best), *held_out, effort])
+    heads = (*GROUPS, *(["held-out"] if found.of_search else []), unit)
+    parts = [*(f"% {clean(text)}" for text in comments), tabular(heads, rows)]
     if found.pairs:
         parts.append(tabular(PAIRS, map(_pair, found.pairs), texts=2))
     return "\n".join(parts)
@@ -61,12 +66,11 @@ def _group(row: Row, form: str, *, bold: bool) -> Sequence[str]:
         _bold(number(row.median, form), wanted=bold),
         f"{number(row.q25, form)}--{number(row.q75, form)}",
         number(row.best, form),
-        number(row.held_out, form),
     )
 
 
 def _form(rows: Sequence[Row]) -> str:
-    """Return a format with as many decimals for all as the largest number has of four digits."""
+    """Return a format with as many decimals as the largest number has of four digits."""
     shown = [(row.median, row.q25, row.q75, row.best, row.held_out) for row in rows]
     largest = max(
         (abs(value) for row in shown for value in row if value is not None), default=0.0
@@ -89,14 +93,12 @@ def _pair(pair: Pair) -> Sequence[str]:
     )
 
 
-def _best(found: Comparison) -> str | None:
-    """Return the group that is significantly better than each other one, if there is one."""
-    won: Counter[str] = Counter()
-    for pair in found.pairs:
-        if pair.p_holm < LEVEL:
-            won[pair.first if pair.a12 > 0.5 else pair.second] += 1
-    others = len(found.rows) - 1
-    return next((group for group, wins in won.items() if wins == others), None)
+def _best(found: Comparison) -> set[str]:
+    """Return the groups that are significantly better than each other one of their problem."""
+    won = Counter(ordered(pair)[0] for pair in found.pairs if pair.p_holm < LEVEL)
+    problem = {row.group: row.problem for row in found.rows}
+    size = Counter(problem.values())
+    return {group for group, wins in won.items() if wins == size[problem[group]] - 1}
 
 
 def tabular(heads: Sequence[str], rows: Iterable[Sequence[str]], texts: int = 1) -> str:
@@ -131,4 +133,9 @@ def p_value(p: float) -> str:
 
 
 def _bold(text: str, *, wanted: bool) -> str:
-    return rf"\textbf{{{text}}}" if wanted else text
+    """Return text in bold; mathematics has a command of its own for that."""
+    if not wanted:
+        return text
+    if text.startswith("$"):
+        return rf"{{\boldmath{text}}}"
+    return rf"\textbf{{{text}}}"

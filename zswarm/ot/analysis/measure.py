@@ -18,6 +18,7 @@ from zswarm.system.text import clean
 
 FILE = "evaluated.json"  # in a run's folder
 SEARCH, HELD_OUT, FITNESS = "search", "held-out", "fitness"
+EACH = "mean per trial"
 
 
 class Evaluated(NamedTuple):
@@ -98,21 +99,44 @@ def values(
     return numbers, counted, notes
 
 
+def usual(runs: Sequence[Run]) -> str:
+    """Return ``held-out`` if every run is finished and its champion assessed, else ``search``."""
+    whole = all(run.finished and _assessed(run) is not None for run in runs)
+    return HELD_OUT if whole else SEARCH
+
+
 def words(name: str) -> str:
-    """Return what a number is, for people."""
+    """Return what a number is, for people and the axes of figures."""
+    if name == SEARCH:
+        return f"best fitness in search, {EACH}"
+    what = "fitness" if name in (HELD_OUT, FITNESS) else name
+    return f"champion's {what} on held-out seeds, {EACH}"
+
+
+def source(name: str) -> str:
+    """Return which trials of the champions a number is from; "" for the search."""
+    if name == SEARCH:
+        return ""
     if name == HELD_OUT:
-        return "champion's fitness on held-out seeds, mean of a trial"
-    what = "fitness" if name == FITNESS else name
-    return f"champion's {what} in the trials of evaluate, mean of a trial"
+        return " (assessment at the end of each run)"
+    return " (trials of zswarm-ot evaluate)"
+
+
+def _assessed(run: Run) -> float | None:
+    """Return the mean of a champion's assessment, a sum as fitness is; None: there is none."""
+    return None if run.held_out is None else run.held_out.mean
 
 
 def _value(run: Run, name: str) -> float:
     if name == HELD_OUT:
-        if run.held_out is None or run.held_out.mean is None:
+        mean = _assessed(run)
+        if mean is None:
             raise ConfigError(
-                f"{run.shown}: its champion was not assessed on held-out seeds"
+                f"{run.shown}: its champion was not assessed on held-out seeds; zswarm-ot "
+                f"evaluate {run.folder.parent} plays all champions there, and --measure fitness "
+                "compares them"
             )
-        return run.held_out.mean / run.fitness_trials
+        return mean / run.fitness_trials
     found = load(run)
     if name != FITNESS and name not in found.metrics:
         known = ", ".join([SEARCH, HELD_OUT, FITNESS, *found.metrics])

@@ -38,7 +38,7 @@ REST = 0.001  # share of higher interactions from which on they are shown
 def command(
     paths: tuple[Path, ...],
     by: "By | None",
-    measure: str,
+    measure: str | None,
     labels: tuple[str, ...],
     csv: str | None,
     latex: str | None,
@@ -47,7 +47,7 @@ def command(
     """Compare runs: median and quartiles of each group, and whether a difference may be chance.
 
     Runs that differ only in their seed form a group. The tests are Mann-Whitney U with Holm's
-    correction, and Kruskal-Wallis; over several problems, Friedman.
+    correction, and Kruskal-Wallis, within each problem; over several problems, Friedman.
 
     \b
       zswarm-ot compare runs/study --by evaluations
@@ -77,11 +77,12 @@ def command(
     elif latex:
         write_for_user(Path(latex), latex_tables.tables(found).encode())
     if as_json:
-        rows = [one._asdict() for one in found.rows]
         values = {
             **found._asdict(),
-            "rows": rows,
-            "pairs": [p.as_object() for p in found.pairs],
+            "of": found.of,
+            "rows": [one._asdict() for one in found.rows],
+            "pairs": [pair.as_object() for pair in found.pairs],
+            "families": [one._asdict() for one in found.families],
         }
         explained = found.importance
         values["importance"] = None if explained is None else explained.as_object()
@@ -95,31 +96,38 @@ def command(
 
 def _cells(found: "Comparison") -> tuple[list[str], list[list[object]]]:
     """Return the rows of a CSV file: one for each group, then one for each pair."""
-    from zswarm.ot.analysis.comparison import Pair, Row, effect
+    from zswarm.ot.analysis.comparison import Row
+    from zswarm.ot.analysis.effect_size import effect
+    from zswarm.ot.analysis.significance import Pair
 
-    tests = [*Pair._fields[2:], "delta", "effect"]
+    tests = [*Pair._fields[2:-1], "delta", "effect"]
     header = ["what", *Row._fields, "second", *tests]
     rows: list[list[object]] = [["group", *row] for row in found.rows]
     for row in rows:
         row += [None] * (len(header) - len(row))
-    blank = [None] * (len(Row._fields) - 1)
+    blank = [None] * (len(Row._fields) - 2)
     for pair in found.pairs:
-        cells: list[object] = ["pair", pair.first, *blank, pair.second]
-        rows.append([*cells, *pair[2:], pair.delta, effect(pair.a12)])
+        cells: list[object] = ["pair", pair.first, *blank, pair.problem, pair.second]
+        rows.append([*cells, *pair[2:-1], pair.delta, effect(pair.a12)])
     return header, rows
 
 
 def _show_ranks(ranked: "Friedman") -> None:
-    from zswarm.ot.analysis import comparison
+    from zswarm.ot.analysis.significance import p_value
 
     table = tables.table("method", ">mean rank")
     for name, rank in sorted(ranked.ranks.items(), key=lambda item: item[1]):
         tables.row(table, name, f"{rank:.2f}")
     tables.show(table)
-    tables.paragraph(
-        f"Friedman over {ranked.problems} problems: {comparison.p_value(ranked.p)}; each problem "
-        "ranks the methods by their medians, 1 is the best."
-    )
+    each = "Each problem ranks the methods by their medians; 1 is the best."
+    if ranked.problems < ranked.needed:
+        tables.paragraph(
+            f"No test over problems: with {len(ranked.ranks)} methods, Friedman's test can show a "
+            f"difference over {ranked.needed} or more problems; here are {ranked.problems}. {each}"
+        )
+    else:
+        what = f"Friedman over {ranked.problems} problems: {p_value(ranked.p)}."
+        tables.paragraph(f"{what} {each}")
 
 
 def show(found: "Comparison") -> None:
@@ -127,55 +135,52 @@ def show(found: "Comparison") -> None:
     from zswarm.ot.analysis import comparison
 
     unit = comparison.effort_unit(found.rows)
-    numbers = (
-        ">runs",
-        ">median",
-        ">quartiles",
-        ">best",
-        ">worst",
-        ">held-out",
-        f">{unit}/run",
-        ">time",
-    )
-    table = tables.table("group", *numbers, padding=(0, 1, 0, 0))
+    held_out = [">held-out"] if found.of_search else []
+    numbers = (">runs", ">median", ">quartiles", ">best", ">worst")
+    costs = (f">{unit}/run", ">time")
+    table = tables.table("group", *numbers, *held_out, *costs, padding=(0, 1, 0, 0))
     for row in found.rows:
         several = row.runs > 1
         quartiles = f"{_number(row.q25)} / {_number(row.q75)}" if several else ""
-        values = (_number(row.median), quartiles, _number(row.best), _number(row.worst))
-        held_out = "" if row.held_out is None else _number(row.held_out)
-        costs = (f"{getattr(row, unit):.0f}", duration(row.seconds))
-        tables.row(table, row.group, row.runs, *values, held_out, *costs)
+        cells = [_number(row.median), quartiles, _number(row.best), _number(row.worst)]
+        if found.of_search:
+            cells.append("" if row.held_out is None else _number(row.held_out))
+        spent = (f"{getattr(row, unit):.0f}", duration(row.seconds))
+        tables.row(table, row.group, row.runs, *cells, *spent)
     tables.show(table)
     for note in found.notes:
         tables.paragraph(note)
-    spent = found.by if found.at != 1 else found.by.removesuffix("s")
-    what = f"Compared: {found.of}; higher is better. "
-    if found.of == comparison.SEARCH:
-        what = (
-            f"Fitness is the best of each run in search after {found.at:.0f} {spent}, as the mean "
-            "of a candidate's trials; higher is better. "
-        )
-    tables.paragraph(
-        f"{what}"
-        "Half of a group's runs are above the median, and half lie between the quartiles. Held-out "
-        "is what the champions of finished runs do on seeds that search did not use; it, "
-        f"{unit} and time are the medians of its runs."
-    )
+    tables.paragraph(comparison.explanation(found))
     if len(found.rows) > 1:
         tables.line("")
-    if found.kruskal_p is not None:
-        tables.paragraph(
-            f"Kruskal-Wallis over all groups: {comparison.p_value(found.kruskal_p)}; below "
-            f"{comparison.LEVEL} at least one group differs from the others."
-        )
-    if note := comparison.disagreement(found):
-        tables.paragraph(note)
-    if found.pairs:
-        _show_pairs(found)
-    if found.untested:
-        tables.paragraph(f"No test: {found.untested}.")
+    _show_tests(found)
     if found.importance is not None:
         _show_importance(found.importance)
+
+
+def _show_tests(found: "Comparison") -> None:
+    from zswarm.ot.analysis import significance
+    from zswarm.ot.analysis.effect_size import LEVEL
+    from zswarm.ot.analysis.grouping import in_problem
+
+    if len(found.families) > 1:
+        tables.paragraph(
+            "The groups of each problem are tested with each other: fitness of different problems "
+            "does not compare."
+        )
+    for family in found.families:
+        where = in_problem(family.problem)
+        if family.kruskal_p is not None:
+            tables.paragraph(
+                f"Kruskal-Wallis over all groups{where}: {significance.p_value(family.kruskal_p)}; "
+                f"below {LEVEL} at least one group differs from the others."
+            )
+        if note := significance.disagreement(family, found.pairs):
+            tables.paragraph(note)
+    if found.pairs:
+        _show_pairs(found)
+    for where, why in found.untested:
+        tables.paragraph(f"No test{where}: {why}.")
 
 
 def _show_importance(found: "Importance") -> None:
@@ -202,6 +207,7 @@ def _show_importance(found: "Importance") -> None:
 
 def _show_pairs(found: "Comparison") -> None:
     from zswarm.ot.analysis import comparison
+    from zswarm.ot.analysis.effect_size import LEVEL
 
     table = tables.table("first", "second", ">U", ">p", ">p (Holm)", ">A12", ">95 %")
     for pair in found.pairs:
@@ -209,16 +215,17 @@ def _show_pairs(found: "Comparison") -> None:
         interval = f"{pair.a12_low:.2f} to {pair.a12_high:.2f}"
         tables.row(table, pair.first, pair.second, *numbers, interval)
     tables.show(table)
+    each = " of a problem" if len(found.families) > 1 else ""
     methods = ", ".join(sorted({pair.method for pair in found.pairs}))
     tables.paragraph(
         f"Mann-Whitney U ({methods}). p: how often chance alone gives a difference at least this "
-        f"large where there is none; below {comparison.LEVEL} it is significant. Holm: corrected "
-        "for the number of pairs; this one decides. A12: how often a run of the first group is "
-        "better than one of the second; 0.5: equally often."
+        f"large where there is none; below {LEVEL} it is significant. Holm: corrected "
+        f"for the number of pairs{each}; this one decides. A12: how often a run of the first group "
+        "is higher than one of the second; 0.5: equally often."
     )
     tables.line("")
     for pair in sorted(found.pairs, key=lambda pair: pair.p_holm)[:PAIRS]:
-        tables.paragraph(comparison.describe(pair))
+        tables.paragraph(comparison.describe(pair, found.measure))
 
 
 def _number(value: float | None) -> str:

@@ -19,6 +19,7 @@ from zswarm.ot.analysis import (
     drawing,
     figures,
     grouping,
+    significance,
 )
 from zswarm.ot.estimate.retrospect import look_back
 from zswarm.ot.notes import RunEvent
@@ -105,7 +106,7 @@ def of_run(run: Run, trials: int) -> str:
 def of_study(path: Path, runs: Sequence[Run]) -> str:
     """Return the page of several runs."""
     groups = grouping.groups(runs)
-    loaded, notes = curves.load(groups)
+    loaded, _ = curves.load(groups)
     name = clean(path.resolve().name)
     example = Path(EXPERIMENT)
     if not (path / EXPERIMENT).is_file():
@@ -116,12 +117,14 @@ def of_study(path: Path, runs: Sequence[Run]) -> str:
     if any(run.relative for run in runs):
         parts["state"] = f"{comparison.SCORES[0].upper()}{comparison.SCORES[1:]}."
     else:
-        parts["compared"] = comparison.of_series(loaded, compared.usual(runs), notes)
+        parts["compared"] = compared.compare(groups)
     return _page(
         title=name,
         groups=len(groups),
         finished=sum(run.finished for run in runs),
         comparison=comparison,
+        significance=significance,
+        in_problem=grouping.in_problem,
         runs=[(group, run) for group, members in groups.items() for run in members],
         settings=settings_rows(runs[0].experiment),
         settings_of=runs[0].name,

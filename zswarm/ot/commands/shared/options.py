@@ -122,14 +122,12 @@ out_option = click.option(
 csv_option = click.option(
     "--csv", metavar="FILE", help="Also write the numbers as CSV; - is stdout."
 )
-SEARCH = "search"
 measure_option = click.option(
     "--measure",
     metavar="search|held-out|fitness|METRIC",
-    default=SEARCH,
-    show_default=True,
     help="search: best fitness in search; held-out: the champion's, as assessed at the end of "
-    "the run; fitness, or a metric of the simulator: the champion's, as evaluate played it.",
+    "the run; fitness, or a metric of the simulator: the champion's, as evaluate played it.  "
+    "[default: held-out if all runs are finished and assessed, else search]",
 )
 label_option = click.option(
     "--label",
