@@ -31,7 +31,8 @@ class Compared:
         groups: a row for each group: runs, median, quartiles, best, worst, held-out, effort.
         pairs: a row for each pair of a problem: U, p, Holm's p, A12 with its 95 % interval,
             Cliff's delta, the size of the effect. Empty if there are too few runs for a test.
-        families: a row for each problem: p of Kruskal-Wallis, and why no pair was tested.
+        families: a row for each problem: p of Kruskal-Wallis, why no pair was tested, and where
+            runs were compared.
         notes: what a reader of the numbers has to know.
         of: what is compared.
         latex: tables for a paper.

@@ -45,7 +45,7 @@ def test_a_row_has_median_and_quartiles_of_the_runs() -> None:
 def test_runs_of_unequal_length_are_compared_at_the_shortest_length() -> None:
     """The length is the largest number of generations that all have; a note reports it."""
     found = comparison.of_series({"a": [run(1, 2, 3)], "b": [run(1, 5)]}, "generations")
-    assert found.at == 2
+    assert found.families[0].at == 2
     assert [row.median for row in found.rows] == [2.0, 5.0]
     assert (
         "runs are of unequal length: compared after 2 generations, which all have"
@@ -57,7 +57,7 @@ def test_groups_can_be_compared_after_equally_many_evaluations() -> None:
     found = comparison.of_series(
         {"a": [run(1, 2, 3, 4)], "b": [run(1, 5, per_generation=100)]}, "evaluations"
     )
-    assert found.at == 200
+    assert found.families[0].at == 200
     assert [row.median for row in found.rows] == [4.0, 5.0]
 
 
@@ -154,7 +154,7 @@ def test_a12_is_the_probability_that_a_run_of_the_first_group_is_better() -> Non
 def test_equal_groups_do_not_differ_significantly() -> None:
     found = comparison.of_series({name: ended([7] * 6) for name in "abc"}, "generations")
     assert {pair.p_holm for pair in found.pairs} == {1.0}
-    assert found.families == [Family("", 1.0, "")]
+    assert found.families == [Family("", 1.0, "", 1.0)]
 
 
 def test_many_pairs_are_corrected_after_holm() -> None:
@@ -344,7 +344,7 @@ def budgeted(trials: int, generations: int, best: float) -> Series:
 def test_groups_are_compared_after_equally_many_simulations() -> None:
     groups = {"few": [budgeted(2, 8, 1.0)], "many": [budgeted(8, 2, 2.0)]}
     found = comparison.of_series(groups, "simulations")
-    assert (found.by, found.at) == ("simulations", 160.0)
+    assert (found.by, found.families[0].at) == ("simulations", 160.0)
     assert [(row.evaluations, row.simulations) for row in found.rows] == [
         (80.0, 160.0),
         (20.0, 160.0),

@@ -335,7 +335,7 @@ def test_compare_as_json_holds_all_numbers(study: Path) -> None:
     found = json.loads(invoke("compare", study, "--json"))
     assert [row["group"] for row in found["rows"]] == ["hidden 1", "hidden 2"]
     assert found["pairs"][0]["p"] == pytest.approx(2 / 70)
-    assert found["at"] == 2
+    assert found["families"][0]["at"] == 2
 
 
 @pytest.mark.parametrize("name", ["plot", "compare"])

@@ -120,7 +120,7 @@ def test_champions_of_a_study_are_compared_by_a_metric(study: Path) -> None:
     assert told["of"] == (
         "champion's escaped on held-out seeds, mean per trial (trials of zswarm-ot evaluate)"
     )
-    assert (told["by"], told["at"]) == (None, None)
+    assert (told["by"], told["families"][0]["at"]) == (None, None)
     assert told["pairs"][0]["a12"] == 0.5
     assert len(zswarm.tidy(study, rows="trials")) == 60
     with pytest.raises(

@@ -189,3 +189,26 @@ def test_unequal_effort_is_that_within_a_problem(tmp_path: Path) -> None:
             )
     notes = compare(grouping.groups(runs_below([tmp_path]))).notes
     assert not any("different numbers of evaluations" in note for note in notes)
+
+
+def test_each_problem_has_its_own_point_of_comparison(tmp_path: Path) -> None:
+    for agents, length in ((8, 2), (16, 4)):
+        for hidden in (2, 3):
+            best = [float(generation) for generation in range(length + hidden)]
+            written(tmp_path, best, settings={"agents": agents}, hidden=hidden)
+    found = compare(grouping.groups(runs_below([tmp_path])))
+    assert {family.problem: family.at for family in found.families} == {
+        "agents 8": 4,
+        "agents 16": 6,
+    }
+    assert {row.problem: row.median for row in found.rows} == {
+        "agents 8": 3.0,
+        "agents 16": 5.0,
+    }
+    said = " ".join(typed("compare", tmp_path).split())
+    assert (
+        "of each run after 4 generations (agents 8), after 6 generations (agents 16)"
+        in said
+    )
+    note = "runs (agents 8) are of unequal length: compared after 4 generations"
+    assert note in said

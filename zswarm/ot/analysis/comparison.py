@@ -47,8 +47,7 @@ class Row(NamedTuple):
 class Comparison(NamedTuple):
     """All groups, and the pairs of each problem."""
 
-    by: By | None  # None: whole runs are compared
-    at: float | None  # generations, evaluations or simulations; None: of each run all
+    by: By | None  # that all runs of a problem have, compared there; None: whole runs are
     rows: list[Row]
     pairs: list[Pair]
     families: list[Family]  # one for each problem
@@ -89,7 +88,7 @@ def of_series(
     notes: Sequence[str] = (),
     settings: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Comparison:
-    """Compare groups at the largest number of generations, or of ``by``, that all runs have.
+    """Compare groups at the largest number of ``by`` that all runs of a problem have.
 
     Args:
         notes: of ``curves.load``, which return among those of the comparison.
@@ -105,13 +104,21 @@ def of_series(
     if any(run.relative for run in runs):
         raise ConfigError(SCORES)
     axis: curves.Axis = "generation" if by == "generations" else by
-    ends = {float(curves.positions(run, axis)[-1]) for run in runs}
-    at = min(ends)
-    samples = {group: _sample(members, axis, at) for group, members in started.items()}
+    ends: dict[str, set[float]] = {}
+    for run in runs:
+        last = float(curves.positions(run, axis)[-1])
+        ends.setdefault(run.problem, set()).add(last)
+    at = {problem: min(found) for problem, found in ends.items()}
+    samples = {
+        group: _sample(members, axis, at[members[0].problem])
+        for group, members in started.items()
+    }
     rows = [_row(group, sample, started[group]) for group, sample in samples.items()]
     values = {name: sample.best for name, sample in samples.items()}
     notes = [*notes, *_notes(samples, rows, by, ends)]
-    return _compared(by, at, rows, values, notes, SEARCH, settings)
+    found = _compared(by, rows, values, notes, SEARCH, settings)
+    families = [family._replace(at=at[family.problem]) for family in found.families]
+    return found._replace(families=families)
 
 
 def of_values(
@@ -134,8 +141,8 @@ def of_values(
         ends = [_effort(run, -1) for run in groups[group]]
         samples[group] = _Sample(numbers, *np.array(ends, np.float64).reshape(-1, 3).T)
     rows = [_row(group, sample, groups[group]) for group, sample in samples.items()]
-    notes = [*notes, *_notes(samples, rows, None, set())]
-    return _compared(None, None, rows, values, notes, measure, settings)
+    notes = [*notes, *_notes(samples, rows, None, {})]
+    return _compared(None, rows, values, notes, measure, settings)
 
 
 def explanation(found: Comparison) -> str:
@@ -143,9 +150,12 @@ def explanation(found: Comparison) -> str:
     unit = effort_unit(found.rows)
     what = f"Compared: {found.of}"
     costs = f"{unit} and time are the medians of its runs."
-    if found.at is not None and found.by is not None:
-        spent = found.by if found.at != 1 else found.by.removesuffix("s")
-        what += f", of each run after {found.at:.0f} {spent}"
+    if found.by is not None:
+        points = [
+            after(found, family.problem) + in_problem(family.problem)
+            for family in found.families
+        ]
+        what += f", of each run{','.join(points)}"
         costs = (
             "Held-out is what the champions of finished runs do on seeds that search did not use; "
             f"it, {costs}"
@@ -157,6 +167,14 @@ def explanation(found: Comparison) -> str:
         f"{what}{better}. Half of a group's runs are above the median, and half lie between the "
         f"quartiles. {costs}"
     )
+
+
+def after(found: Comparison, problem: str) -> str:
+    """Return where the runs of a problem are compared: `` after 60 generations``, or ""."""
+    at = next(family.at for family in found.families if family.problem == problem)
+    if found.by is None or at is None:
+        return ""
+    return f" after {at:,.0f} {found.by if at != 1 else found.by.removesuffix('s')}"
 
 
 def describe(pair: Pair, measure: str) -> str:
@@ -185,7 +203,6 @@ def ordered(pair: Pair) -> tuple[str, str, float]:
 
 def _compared(
     by: By | None,
-    at: float | None,
     rows: list[Row],
     values: Mapping[str, np.ndarray],
     notes: list[str],
@@ -195,7 +212,7 @@ def _compared(
     """Add the tests and the importance of settings."""
     pairs, families = within({row.group: row.problem for row in rows}, values)
     explained = of_groups(settings, values) if settings and len(values) > 1 else None
-    return Comparison(by, at, rows, pairs, families, notes, measure, explained)
+    return Comparison(by, rows, pairs, families, notes, measure, explained)
 
 
 def _sample(runs: Sequence[Series], axis: curves.Axis, at: float) -> _Sample:
@@ -234,20 +251,25 @@ def effort_unit(rows: Sequence[Row]) -> Literal["evaluations", "simulations"]:
 
 
 def _notes(
-    samples: Mapping[str, _Sample], rows: Sequence[Row], by: By | None, ends: set[float]
+    samples: Mapping[str, _Sample],
+    rows: Sequence[Row],
+    by: By | None,
+    ends: Mapping[str, set[float]],
 ) -> list[str]:
     """Return notes on the effort and on failures.
 
     Args:
         by: None: whole runs are compared.
-        ends: of the runs.
+        ends: of the runs of each problem.
     """
     notes, unit = [], effort_unit(rows)
-    if by == "generations" and len(ends) > 1:
-        least = plural(int(min(ends)), "generation")
-        notes.append(
-            f"runs are of unequal length: compared after {least}, which all have"
-        )
+    for problem, lengths in ends.items() if by == "generations" else ():
+        if len(lengths) > 1:
+            least = plural(int(min(lengths)), "generation")
+            notes.append(
+                f"runs{in_problem(problem)} are of unequal length: compared after {least}, which "
+                "all have"
+            )
     if by != unit and _unequal(rows, unit):
         what = "gives a comparison" if by else "compares the best fitness in search"
         notes.append(

@@ -106,10 +106,9 @@ def load(
     """
     every = [run for runs in groups.values() for run in runs]
     loaded, notes = {}, problems(every, search=search)
-    names = iter(grouping.problems(every))
-    for group, runs in groups.items():
+    names = grouping.problems([runs[0] for runs in groups.values()])
+    for (group, runs), problem in zip(groups.items(), names, strict=True):
         counted, omitted = distinct(runs)
-        (problem,) = {next(names) for _ in runs}
         loaded[group] = [series(run)._replace(problem=problem) for run in counted]
         notes += [*omitted, *unfinished(counted), *mixed(counted)]
     return loaded, notes

@@ -143,10 +143,8 @@ def table(groups: Groups, axis: Axis) -> tuple[list[str], list[list[object]]]:
 def tested(found: Comparison) -> str:
     """Return the results of the tests as a note below a figure, a line or two for each problem."""
     lines = []
-    when = "" if found.by is None else f" after {found.at:,.0f} {found.by}"
-    if found.at == 1:
-        when = when.removesuffix("s")
-    for problem, kruskal_p, _ in found.families:
+    for problem, kruskal_p, _, _ in found.families:
+        when = comparison.after(found, problem)
         where = f"{problem}: " if problem else ""
         if kruskal_p is not None:
             lines.append(f"{where}Kruskal-Wallis{when}: {p_value(kruskal_p)}")

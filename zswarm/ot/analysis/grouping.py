@@ -45,12 +45,9 @@ def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
             for name in differing
             if short and name in values
         ]
-        method = ", ".join(parts) or ("" if short else each[0].experiment.name)
-        labels.append(method + in_problem(problem) if method else problem)
-    labels = [
-        label or each[0].experiment.name
-        for label, each in zip(labels, members, strict=True)
-    ]
+        name = each[0].experiment.name
+        label = ", ".join(parts) or ("" if short else name)
+        labels.append(label + in_problem(problem) if label else problem or name)
     return dict(zip(_told_apart(labels, members), members, strict=True))
 
 

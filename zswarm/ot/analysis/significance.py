@@ -52,6 +52,7 @@ class Family(NamedTuple):
     problem: str  # "": there is only one
     kruskal_p: float | None  # over more than two groups, if they are large enough
     untested: str  # why no pair is tested, or ""
+    at: float | None = None  # where runs are compared, as in ``Comparison.by``
 
 
 def within(
