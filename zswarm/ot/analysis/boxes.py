@@ -21,9 +21,12 @@ POINTS = 72  # in an inch
 BOX, SPREAD = 0.5, 0.12  # width of a box, and how far dots are from the middle, in groups
 Shape = Literal["box", "violin"]
 DOTS = "dots: runs; black lines: medians"
-NOTES: dict[Shape, str] = {
-    "box": "boxes: quartiles; whiskers: the farthest runs\nwithin 1.5 times the boxes' height",
-    "violin": "violins: densities; grey bars: quartiles",
+NOTES: dict[Shape, tuple[str, ...]] = {
+    "box": (
+        "boxes: quartiles; whiskers: the farthest runs",
+        "within 1.5 times the boxes' height",
+    ),
+    "violin": ("violins: densities; grey bars: quartiles",),
 }
 Drawn = tuple[Any, np.ndarray, str]  # place, numbers and colour of a group
 
@@ -60,6 +63,8 @@ def draw(
         raise ConfigError("no run has a number to draw: every candidate failed")
     with drawing.styled(size):
         figure, axes = drawing.axes_of(size)
+        if noted:
+            _note(figure, size, shape, finite)
         places = np.arange(1, len(finite) + 1)
         columns = list(finite.values())
         colours = _colours(len(columns))
@@ -77,8 +82,6 @@ def draw(
         axes.set_xticks(places, labels, **look)
         axes.set_xlim(0.4, len(finite) + 0.6)
         axes.set_ylabel(drawing.upright(height, size))
-        if noted:
-            _note(figure, size, NOTES[shape] if large else "")
         if title:
             axes.set_title(
                 clean(title), loc="left", fontweight="bold", fontsize=size.font
@@ -86,10 +89,15 @@ def draw(
     return figure
 
 
-def _note(figure: "Figure", size: FigureStyle, more: str) -> None:
-    """Write below what is drawn."""
-    text, small = "\n".join(filter(None, [DOTS, more])), 0.85 * size.font
+def _note(
+    figure: "Figure", size: FigureStyle, shape: Shape, groups: Mapping[str, np.ndarray]
+) -> None:
+    """Write below what is drawn, in lines by which the figure becomes higher."""
+    large = any(len(numbers) >= FEW for numbers in groups.values())
+    lines, small = [DOTS, *(NOTES[shape] if large else ())], 0.85 * size.font
+    text = "\n".join(lines)
     figure.supxlabel(text, x=0.99, ha="right", fontsize=small, color=GREY)
+    figure.set_figheight(size.height + len(lines) * 1.2 * small / POINTS)
 
 
 def _dots(axes: Any, drawn: Drawn, size: FigureStyle, *, half: float) -> None:

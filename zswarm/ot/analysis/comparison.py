@@ -151,11 +151,10 @@ def explanation(found: Comparison) -> str:
     what = f"Compared: {found.of}"
     costs = f"{unit} and time are the medians of its runs."
     if found.by is not None:
-        points = [
-            after(found, family.problem) + in_problem(family.problem)
-            for family in found.families
-        ]
-        what += f", of each run{','.join(points)}"
+        points = {one.problem: after(found, one.problem) for one in found.families}
+        if len(set(points.values())) > 1:
+            points = {name: text + in_problem(name) for name, text in points.items()}
+        what += f", of each run{','.join(dict.fromkeys(points.values()))}"
         costs = (
             "Held-out is what the champions of finished runs do on seeds that search did not use; "
             f"it, {costs}"
