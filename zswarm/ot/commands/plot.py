@@ -158,7 +158,7 @@ def _figure(
     values, height, notes = compared.numbers(groups, measure)
     for note in [*skipped, *notes]:
         tables.line(note, stderr=True)
-    kind: boxes.Shape = "violin" if shape == "violin" else "box"
+    kind: Shape = "violin" if shape == "violin" else "box"
     drawn = {group: len(numbers) for group, numbers in values.items()}
     return boxes.draw(values, height, kind, style, title, noted=noted), drawn
 
