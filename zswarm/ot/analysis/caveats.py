@@ -17,6 +17,8 @@ def caveats(run: Run) -> list[str]:
     found = {
         f"Trials of {simulator} do not repeat (repeatable = False): another run of this experiment "
         "has other results and another history hash.": "repeatable" in run.meta,
+        "Time limits the run ([stop] seconds): when it is run again it may end after another "
+        "generation, with another history hash.": run.experiment.stop.seconds,
         f"The run was {versions}.": versions,
         f"The run was imported, not evolved here: {source}.": source,
         f"{plural(faulted, 'trial')} failed by what a machine did, and counted as failed.": faulted,

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from zswarm.ot.analysis import (
-    caveats,
     compared,
     comparison,
     curves,
@@ -28,6 +27,7 @@ from zswarm.ot.record.reader import Row, Run
 from zswarm.ot.record.run_index import runs_below
 from zswarm.ot.replay import held_out
 from zswarm.ot.report import champion as champions
+from zswarm.ot.report.repeating import repeats
 from zswarm.ot.report.settings import settings_rows
 from zswarm.system.extras import need
 from zswarm.system.files import write_for_user
@@ -97,7 +97,7 @@ def of_run(run: Run, trials: int) -> str:
         again=shlex.quote(f"{run.name}/{EXPERIMENT}"),
         history=run.history_hash or "",
         history_version=run.history_version,
-        caveats=caveats.caveats(run),
+        repeats=repeats(run),
         other_code=held_out.other_code(run),
         **parts,
     )
