@@ -11,9 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 import zswarm
-from tests.ot.invented_record import written
+from tests.ot.invented_record import EXPERIMENT, written
 from tests.ot.record.sealing import reseal
-from zswarm.config.sections import PartConfig
+from zswarm import experiment
 from zswarm.controller import CHAMPION, load_controller
 from zswarm.ot import cli
 from zswarm.ot.notes import Note
@@ -22,7 +22,6 @@ from zswarm.ot.record.run_index import runs_below
 from zswarm.ot.replay import held_out
 from zswarm.ot.report import champion as champions
 from zswarm.ot.report import report
-from zswarm.ot.report.settings import settings_rows
 from zswarm.sims.emergency_exit import EmergencyExit
 
 EVIL = (
@@ -173,58 +172,6 @@ def test_a_page_shows_what_was_run_also_if_the_file_was_changed(tmp_path: Path) 
     assert SAME not in page
 
 
-def test_settings_that_are_no_defaults_are_marked(tmp_path: Path) -> None:
-    run = Run(written(tmp_path, [1], hidden=7))
-    changed = {
-        row.key: (row.value, row.default)
-        for row in settings_rows(run.experiment)
-        if row.default is not None
-    }
-    assert changed == {
-        "representation.hidden": ("7", "2"),
-        "problem.settings.field": ("stadium", "random"),
-    }
-
-
-def test_settings_without_effect_are_left_out_unless_they_were_changed(
-    tmp_path: Path,
-) -> None:
-    """The stadium has its own robots, exits and size."""
-    stadium = Run(written(tmp_path, [1], settings={"exits": 9})).experiment
-    rows = {
-        row.key.removeprefix("problem.settings."): (row.value, row.default)
-        for row in settings_rows(stadium)
-        if row.key.startswith("problem.settings.")
-    }
-    steps = str(stadium.problem.settings["steps"])
-    assert rows["steps"][0] == steps
-    assert rows == {
-        "field": ("stadium", "random"),
-        "steps": rows["steps"],
-        "exits": ("9 (not used)", "5"),
-    }
-    drawn = Run(written(tmp_path, [1], settings={"field": "random"})).experiment
-    keys = [row.key for row in settings_rows(drawn)]
-    assert {"problem.settings.agents", "problem.settings.seed"} <= {*keys}
-
-
-def test_a_ranking_is_shown_unless_it_is_the_default(tmp_path: Path) -> None:
-    complete = Run(written(tmp_path, [1])).experiment
-    keys = [row.key for row in settings_rows(complete)]
-    assert not [key for key in keys if key.startswith("ranking")]
-    ranking = PartConfig(
-        kind="swiss", settings={"all_sides": False, "rounds": 5, "win": 2, "tie": 1}
-    )
-    rows = settings_rows(msgspec.structs.replace(complete, ranking=ranking))
-    assert [row for row in rows if row.key.startswith("ranking")] == [
-        ("ranking.kind", "swiss", "absolute"),
-        ("ranking.all_sides", "false", "true"),
-        ("ranking.rounds", "5", "0"),
-        ("ranking.win", "2", None),
-        ("ranking.tie", "1", None),
-    ]
-
-
 def test_the_weights_are_those_of_the_champion(tmp_path: Path) -> None:
     champion = load_controller(written(tmp_path, [1], hidden=1))
     weights = champions.sections(champion, 0)["weights"]
@@ -339,9 +286,15 @@ def test_a_study_has_a_page_with_its_comparison(tmp_path: Path) -> None:
         "zswarm-ot run study/stadium/experiment.toml # one of the runs again"
         in " ".join(page.text.split())
     )
-    (tmp_path / "study" / "experiment.toml").touch()
+    study = '[study]\nrepeat = 4\n[study.grid]\n"representation.hidden" = [1, 2]\n'
+    (tmp_path / "study" / "experiment.toml").write_text(
+        experiment.to_toml(EXPERIMENT) + study
+    )
     page = Page(report.of_study(tmp_path / "study", runs_below([tmp_path / "study"])))
-    assert "zswarm-ot run study/experiment.toml # again" in " ".join(page.text.split())
+    text = " ".join(page.text.split())
+    assert "zswarm-ot run study/experiment.toml # again" in text
+    assert "representation.hidden1 default 22 What they have in common" in text
+    assert "seed0 to 3 generations2 study.repeat4 default 1 problem.simulator" in text
     assert str(tmp_path) not in page.text
 
 

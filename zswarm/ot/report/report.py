@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from zswarm import experiment
 from zswarm.ot.analysis import (
     compared,
     comparison,
@@ -28,7 +29,7 @@ from zswarm.ot.record.run_index import runs_below
 from zswarm.ot.replay import held_out
 from zswarm.ot.report import champion as champions
 from zswarm.ot.report.repeating import repeats
-from zswarm.ot.report.settings import settings_rows
+from zswarm.ot.report.settings import contrast, in_order, rows_of, study_rows
 from zswarm.system.extras import need
 from zswarm.system.files import write_for_user
 from zswarm.system.format import duration, plural
@@ -36,6 +37,7 @@ from zswarm.system.text import clean
 
 TEMPLATE = "report.html.jinja"
 MAX_EVENTS = 1000  # that are listed
+MAX_COLUMNS = 6  # groups that have a column of their settings; more have a row
 TROUBLE = (
     RunEvent.SERVER_WRONG,
     RunEvent.SERVER_BANNED,
@@ -88,7 +90,7 @@ def of_run(run: Run, trials: int) -> str:
         run=run,
         title=run.name,
         numbers=numbers,
-        settings=settings_rows(run.experiment),
+        settings=rows_of([run]),
         servers=servers,
         events=_events(events),
         all_events=events[:MAX_EVENTS],
@@ -108,10 +110,13 @@ def of_study(path: Path, runs: Sequence[Run]) -> str:
     groups = grouping.groups(runs)
     loaded, _ = curves.load(groups)
     name = clean(path.resolve().name)
-    example = Path(EXPERIMENT)
-    if not (path / EXPERIMENT).is_file():
-        example = runs[0].folder.relative_to(path) / EXPERIMENT
+    example, study = Path(EXPERIMENT), path / EXPERIMENT
     parts: dict[str, Any] = {}
+    shared, differing = contrast({each: rows_of(groups[each]) for each in groups})
+    if study.is_file():
+        shared = in_order([*study_rows(experiment.load(study)), *shared])
+    else:
+        example = runs[0].folder.relative_to(path) / EXPERIMENT
     if len(loaded) <= drawing.MAX_GROUPS:
         parts["curve"] = _svg(figures.of_series(loaded, size="screen"))
     if any(run.relative for run in runs):
@@ -120,14 +125,15 @@ def of_study(path: Path, runs: Sequence[Run]) -> str:
         parts["compared"] = compared.compare(groups)
     return _page(
         title=name,
-        groups=len(groups),
+        groups=list(groups),
         finished=sum(run.finished for run in runs),
         comparison=comparison,
         significance=significance,
         in_problem=grouping.in_problem,
         runs=[(group, run) for group, members in groups.items() for run in members],
-        settings=settings_rows(runs[0].experiment),
-        settings_of=runs[0].name,
+        settings=shared,
+        differing=differing,
+        max_columns=MAX_COLUMNS,
         folder=shlex.quote(name),
         again=shlex.quote(f"{name}/{clean(str(example))}"),
         one_again=str(example) != EXPERIMENT,
