@@ -13,7 +13,6 @@ from typing import Any
 
 from zswarm import experiment
 from zswarm.ot.analysis import (
-    compared,
     comparison,
     curves,
     drawing,
@@ -28,6 +27,7 @@ from zswarm.ot.record.reader import Row, Run
 from zswarm.ot.record.run_index import runs_below
 from zswarm.ot.replay import held_out
 from zswarm.ot.report import champion as champions
+from zswarm.ot.report import compared_by
 from zswarm.ot.report.repeating import repeats
 from zswarm.ot.report.settings import contrast, in_order, rows_of, study_rows
 from zswarm.system.extras import need
@@ -122,7 +122,7 @@ def of_study(path: Path, runs: Sequence[Run]) -> str:
     if any(run.relative for run in runs):
         parts["state"] = f"{comparison.SCORES[0].upper()}{comparison.SCORES[1:]}."
     else:
-        parts["compared"] = compared.compare(groups)
+        parts["measured"] = compared_by.compare(groups)
     return _page(
         title=name,
         groups=list(groups),
