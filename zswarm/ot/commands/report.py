@@ -27,8 +27,9 @@ EXTENSIONS = (".html", ".htm")
 def command(path: Path, output: Path | None, trials: int, as_json: bool) -> None:
     """Write one HTML file about a run or a study.
 
-    About a run: its curve, champion, settings, servers and events; about a study: curves and
-    comparison. The file needs no other one: it can be mailed, printed and read without a network.
+    About a run: its curve, champion, settings, servers and events; about a study: curves, runs,
+    the settings of each group, and a comparison, by held-out fitness if all runs have it. The file
+    needs no other one: it can be mailed, printed and read without a network.
     """
     from zswarm.ot.report import report
 
