@@ -254,7 +254,8 @@ def test_runs_with_a_budget_are_drawn_over_what_compare_compares_by(
     by = json.loads(invoke("compare", tmp_path, "--json"))["by"]
     assert picture.usual_axis(runs_below([tmp_path])) == by == "simulations"
     note = zswarm.plot(tmp_path).axes[0].texts[0].get_text()
-    assert note.endswith("Mann-Whitney U after 96 simulations: p = 0.029, A12 = 1.00")
+    assert "Mann-Whitney U after 96 simulations: p = 0.029\n" in note
+    assert note.endswith("A12 = 1.00 of trials 2 over trials 16")
     asked = zswarm.plot(tmp_path, x="generation").axes[0].texts[0].get_text()
     assert "after 2 generations" in asked
     written(tmp_path / "without", few)

@@ -54,8 +54,10 @@ def page_of(study: Path) -> str:
 
 def test_search_is_compared_if_there_is_nothing_else(study: Path) -> None:
     page = page_of(study)
-    assert "<strong>best fitness in search</strong>, of each run after 1 gen" in page
-    assert "hidden 2 is better than hidden 1" in page
+    assert (
+        "best fitness in search, mean per trial, of each run after 1 generation;" in page
+    )
+    assert "hidden 2 has a higher best fitness in search than hidden 1" in page
     assert compared.UNASSESSED.partition(":")[0] in page
     assert ">evaluated</th>" not in page
 
@@ -63,16 +65,14 @@ def test_search_is_compared_if_there_is_nothing_else(study: Path) -> None:
 def test_held_out_values_of_all_runs_are_compared(study: Path) -> None:
     runs = runs_below([study])
     assess(runs[1:])
-    assert compare(grouping.groups(runs_below([study]))).by == SEARCH
+    assert compare(grouping.groups(runs_below([study]))).found.measure == SEARCH
     assess(runs)
     groups = grouping.groups(runs_below([study]))
     made = compare(groups)
-    assert (made.by, made.trials) == (HELD_OUT, "")
+    assert (made.found.measure, made.trials) == (HELD_OUT, "")
     assert made.found == compared.compare(groups, None, HELD_OUT)
     page = page_of(study)
-    assert f"Compared: <strong>{measure.words(HELD_OUT)}</strong>.</p>" in page.replace(
-        "&#39;", "'"
-    )
+    assert f"Compared: {measure.words(HELD_OUT)}" in page.replace("&#39;", "'")
     assert "hidden 1 is better than hidden 2" in page
     assert "hidden 2 is better" not in page
 
@@ -83,11 +83,11 @@ def test_what_evaluate_found_of_all_champions_is_compared(study: Path) -> None:
     evaluate(runs)
     groups = grouping.groups(runs_below([study]))
     made = compare(groups)
-    assert (made.by, made.trials) == (FITNESS, "30")
+    assert (made.found.measure, made.trials) == (FITNESS, "30")
     assert made.found == compared.compare(groups, None, FITNESS)
     page = page_of(study)
-    words = f"<strong>{measure.words(FITNESS)}</strong>: 30 trials each.</p>"
-    assert words in page.replace("&#39;", "'")
+    assert f"Compared: {measure.words(FITNESS)}" in page.replace("&#39;", "'")
+    assert "Each champion played 30 trials in zswarm-ot evaluate." in page
     assert "hidden 1 is better than hidden 2" in page
     assert ">evaluated</th><th>history hash</th>" in page
     row = '<td>stadium-2</td><td class="right">1</td><td class="right">1</td>'
@@ -103,7 +103,7 @@ def test_what_evaluate_found_of_some_is_not_compared_and_the_page_says_so(
     runs = runs_below([study])
     evaluate(runs[1:])
     made = compare(grouping.groups(runs))
-    assert (made.by, made.found.notes[0]) == (SEARCH, PARTLY)
+    assert (made.found.measure, made.found.notes[0]) == (SEARCH, PARTLY)
     assert PARTLY in page_of(study)
 
 
@@ -112,7 +112,7 @@ def test_unfinished_runs_are_compared_in_search(study: Path) -> None:
     runs = runs_below([study])
     evaluate(runs)
     made = compare(grouping.groups(runs))
-    assert made.by == SEARCH
+    assert made.found.measure == SEARCH
     assert any("is not finished" in note for note in made.found.notes)
 
 

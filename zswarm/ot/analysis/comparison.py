@@ -57,17 +57,17 @@ class Comparison(NamedTuple):
 
     @property
     def of(self) -> str:
-        """What is compared."""
+        """Return what is compared."""
         return f"{words(self.measure)}{source(self.measure)}"
 
     @property
     def of_search(self) -> bool:
-        """Whether fitness in search is compared, next to which that on held-out seeds is shown."""
+        """Return whether fitness in search is compared, next to which held-out fitness is shown."""
         return self.measure == SEARCH
 
     @property
     def untested(self) -> list[tuple[str, str]]:
-        """Problems whose pairs are not tested, such as " (foraging)" or "", and why."""
+        """Return problems whose pairs are not tested, such as " (foraging)" or "", and why."""
         return [
             (in_problem(family.problem), family.untested)
             for family in self.families

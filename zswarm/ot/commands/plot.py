@@ -114,13 +114,13 @@ def command(
     skipped: list[str] = []
     found = runs_below(paths, skipped)
     groups = grouping.renamed(grouping.groups(found), labels)
-    figures.plain_style()
     if shape != "curves" or measure not in (None, SEARCH):
         if csv:
             raise ConfigError(
                 "--csv has the numbers of curves; of runs: zswarm-ot compare --csv"
             )
         look = SIZES[size]._replace(file=style)
+        figures.plain_style()
         figure, drawn = _figure(groups, shape, measure, look, title, skipped, noted=noted)
     else:
         loaded, notes = curves.load(groups)
@@ -129,6 +129,7 @@ def command(
             tables.line(note, stderr=True)
         if csv:
             spreadsheet.save(csv, *figures.table(loaded, axis))
+        figures.plain_style()
         figure = figures.of_series(loaded, axis, size, title, lowest, style, noted=noted)
         drawn = {group: len(runs) for group, runs in curves.started(loaded).items()}
     figures.save(figure, output)

@@ -18,6 +18,7 @@ from zswarm.ot.analysis import (
     drawing,
     figures,
     grouping,
+    picture,
     significance,
 )
 from zswarm.ot.estimate.retrospect import look_back
@@ -118,7 +119,9 @@ def of_study(path: Path, runs: Sequence[Run]) -> str:
     else:
         example = runs[0].folder.relative_to(path) / EXPERIMENT
     if len(loaded) <= drawing.MAX_GROUPS:
-        parts["curve"] = _svg(figures.of_series(loaded, size="screen"))
+        parts["curve"] = _svg(
+            figures.of_series(loaded, picture.usual_axis(runs), size="screen")
+        )
     if any(run.relative for run in runs):
         parts["state"] = f"{comparison.SCORES[0].upper()}{comparison.SCORES[1:]}."
     else:
