@@ -29,6 +29,7 @@ def main() -> None:
     )
     options = parser.parse_args()
     machine.warn_if_busy()
+    machine.RESULTS.mkdir(parents=True, exist_ok=True)
     begin, rows = time.monotonic(), []
     for population in [50] if options.quick else GENERATIONS:
         asked = [population, GENES, GENERATIONS[population], "nnga", "best"]
