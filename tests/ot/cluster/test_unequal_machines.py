@@ -1,10 +1,12 @@
 """Unequal machines and links: a generation takes no longer than it must, in simulated time."""
 
+import numpy as np
 import pytest
 
 from tests.ot.cluster.dispatching import Optimizer, batch, fault, outcomes, trials
 from tests.ot.cluster.simulated_lab import Lab, Machine
-from zswarm.ot.cluster.events import Ask, Complete
+from zswarm.ot.cluster.events import Ask, Complete, Work
+from zswarm.ot.workload import Workload
 from zswarm.protocol import codec
 from zswarm.protocol.messages import Refused, Running
 
@@ -126,6 +128,25 @@ def test_equal_machines_start_nothing_twice() -> None:
     for count in (16, 20, 100):
         lab.generation(count)
     assert lab.noted("second_start") == 0
+
+
+@pytest.mark.parametrize("verify", [0.0, 1.0])
+def test_the_last_trial_is_sent_though_its_genome_goes_with_it_alone(
+    verify: float,
+) -> None:
+    """Several trials of a candidate share its genome on the way, so that the last takes longer."""
+    optimizer = Optimizer(verify=verify, second_starts=False)
+    optimizer.join("a", "b", slots=4, trial_s=0.0008)
+    for server in optimizer.dispatch.servers.by_id.values():
+        server.machine = server.id
+        server.pace.round_trip_s, server.pace.link_measured = 0.005, True
+        server.pace.byte_s, server.pace.batch_at = 2e-6, optimizer.now
+    last = Workload([bytes(450)], np.zeros((8, 1), int), np.arange(8).astype("<u8"), 0)
+    last.counted[:7] = True
+    asks = optimizer.feed(Work(last)) + optimizer.wait(0.1)
+    assert trials(asks) == [7]
+    checks = optimizer.answer(asks[0], outcomes(asks[0])) + optimizer.wait(0.1)
+    assert trials(checks) == ([7] if verify else [])
 
 
 # ---- second starts, event by event

@@ -259,18 +259,23 @@ class Schedule(msgspec.Struct, eq=False):
             return trials
         now = self.out.now
         if now >= self._stale_at:
-            self._end = self._expected_end(self.queue.count + checks)
-            if checks:
-                first: dict[str, float] = {}
-                for one in self.serving.values():
-                    end = first.get(one.machine, math.inf)
-                    first[one.machine] = min(end, self.due(one, 1))
-                self._end = max(self._end, *sorted(first.values())[:2])
+            self._end = max(
+                self._expected_end(self.queue.count + checks),
+                self._first_end(machines=2 if checks else 1),
+            )
             # All are looked at: not for every trial where there are many.
             least_s = ESTIMATE_SERVER_S * len(self.serving)
             self._stale_at = now + max(least_s, STALE * (self._end - now))
             self._moved = 0
         return self.fitting(server, trials, now + TOLERANCE * (self._end - now))
+
+    def _first_end(self, machines: int) -> float:
+        """Return when so many machines can have ended a trial each: nothing ends before that."""
+        first: dict[str, float] = {}
+        for server in self.serving.values():
+            end = first.get(server.machine, math.inf)
+            first[server.machine] = min(end, self.due(server, 1))
+        return max(sorted(first.values())[:machines])
 
     def _expected_end(self, waiting: int) -> float:
         """Return when all that waits is done if each trial is done where it ends first."""
