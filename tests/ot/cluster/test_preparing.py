@@ -82,3 +82,12 @@ def test_a_user_knows_what_servers_do_that_prepare(
     assert user.reads(probe_begun=1, probe_trials=1) == ["a: plays one trial of stage"]
     assert user.reads() == [], "nothing is known any more"
     assert user.reads(ready=4) == []
+
+
+def test_a_user_knows_that_servers_compute_without_an_outcome(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    user = User(monkeypatch)
+    assert user.reads(ready=4) == []
+    monkeypatch.setattr(watch, "QUIET_S", -1.0)
+    assert user.reads(ready=4) == ["no outcome from 4 slots yet"]

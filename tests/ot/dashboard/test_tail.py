@@ -10,7 +10,7 @@ from tests.ot.invented_record import written
 from tests.ot.record.sealing import reseal
 from zswarm.ot.dashboard.run_index import RunIndex
 from zswarm.ot.dashboard.tail import RecordTail
-from zswarm.ot.notes import Note
+from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.record import control_file as control
 from zswarm.ot.record.schema import ASSESSMENT
 from zswarm.ot.record.writer import Record
@@ -94,3 +94,23 @@ def test_the_time_left_includes_the_assessment(tmp_path: Path) -> None:
         state = RecordTail(folder).look()["state"]
         assert (state["counted"], state["trials"]) == (3, 60)
         assert state["eta_s"] == pytest.approx(0.1 * 20 * 2.0 * (1 - 3 / 60))
+
+
+def test_a_run_without_outcomes_for_long_is_quiet(tmp_path: Path) -> None:
+    """Nothing is said of the time that is left; a run that was just resumed is not quiet."""
+    folder = written(tmp_path, range(20), finished=False)
+    with_times(folder, 2.0)
+    with sqlite3.connect(folder / "run.sqlite") as database:
+        database.execute("UPDATE outcomes SET at = at - 300")
+        database.execute("UPDATE generations SET finished_at = finished_at - 300")
+    database.close()
+    reseal(folder)
+    record, _ = Record.open(folder)
+    with record:
+        state = RecordTail(folder).look()["state"]
+        assert (state["eta_s"], state["quiet_s"]) == (None, 240.0)
+        record.note(Note(RunEvent.BEGAN))
+    record, _ = Record.open(folder)
+    with record:
+        state = RecordTail(folder).look()["state"]
+        assert (state["eta_s"] is None, state["quiet_s"]) == (False, 0.0)

@@ -8,13 +8,15 @@ import msgspec
 
 from zswarm.config.sections import ClusterConfig
 from zswarm.errors import EvaluationError
+from zswarm.ot.cluster.events import Counted
 from zswarm.ot.cluster.local import LocalServer
 from zswarm.ot.cluster.remote_server import Standing
 from zswarm.ot.notes import Note, RunEvent
-from zswarm.system.format import duration
+from zswarm.system.format import duration, plural
 
 PREPARING_S = 1.0  # of a server, before it is reported
 PAUSE_S = 3.0  # without any server, before it is reported
+QUIET_S = 60.0  # without an outcome of the servers that compute, before it is reported
 # Between two lines about what is waited for: in its first minute, and later.
 AGAIN_S, LATER_S = 1.5, 60.0
 HINT = "zswarm-ot doctor explains why, docs/network.md what to do"
@@ -41,8 +43,10 @@ class Watch(msgspec.Struct, eq=False):
     _begun: float = msgspec.field(default_factory=time.monotonic)
     _met: bool = False  # a server of the network
     _ever_served: bool = False
-    # Or when the workload began.
+    # Or when the workload began, as of the next one.
     _served_at: float = msgspec.field(default_factory=time.monotonic)
+    # When an outcome was counted, or servers began to compute.
+    _heard_at: float = msgspec.field(default_factory=time.monotonic)
     _served: bool = False
     _said: str = ""
     _waiting: str = ""  # for what, as last reported
@@ -50,8 +54,8 @@ class Watch(msgspec.Struct, eq=False):
 
     def begin(self) -> None:
         """Begin with another workload."""
-        self._served_at, self._served, self._said = time.monotonic(), False, ""
-        self._waiting = ""
+        self._heard_at = self._served_at = time.monotonic()
+        self._served, self._said, self._waiting = False, "", ""
 
     def hint(self, item: object, standing: Standing) -> None:
         """Report once that no server is found, if other machines are asked for.
@@ -90,10 +94,18 @@ class Watch(msgspec.Struct, eq=False):
             Stopped: the run is to end.
         """
         self.hint(item, standing)
-        local, idle_s = self.local, time.monotonic() - self._served_at
+        now = time.monotonic()
+        local, idle_s = self.local, now - self._served_at
+        if isinstance(item, Counted) or not standing.serving:
+            self._heard_at = now
         if standing.serving:
-            self.begin()
+            self._served_at, self._said = now, ""
             self._served = self._ever_served = True
+            if now >= self._heard_at + QUIET_S:
+                compute = plural(standing.slots, "slot")
+                self._wait(f"no outcome from {compute} yet", now - self._heard_at)
+            else:
+                self._waiting = ""
         elif local is not None and (words := local.ended()):
             raise EvaluationError(f"the slots of this machine ended: {words}")
         elif standing.preparing:

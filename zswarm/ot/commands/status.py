@@ -19,6 +19,7 @@ FIELDS = {
     "best": "best_sum",
     "trials": "fitness_trials",
     "eta_s": "eta_s",
+    "quiet_s": "quiet_s",
 }
 FIRST = ("running", "paused", "stopping")
 
@@ -69,6 +70,12 @@ def _row(folder: Path) -> dict[str, Any]:
     return {"run": name, **{key: tail.state[name] for key, name in FIELDS.items()}}
 
 
+def _generation(row: dict[str, Any]) -> str:
+    """Return how many generations a run has, and of how many unless a limit ended it before."""
+    done, most = row["generation"], row["generations"]
+    return str(done) if row["status"] == "finished" else f"{done}/{most}"
+
+
 def _show(rows: list[dict[str, Any]]) -> None:
     table = tables.table("run", "status", ">generation", ">best", ">time left")
     for row in rows:
@@ -76,13 +83,14 @@ def _show(rows: list[dict[str, Any]]) -> None:
             tables.row(table, row["run"], row["error"], "", "", "")
             continue
         best, left = row["best"], row["eta_s"]
+        quiet = f"no outcome for {duration(row['quiet_s'])}" if row["quiet_s"] else ""
         tables.row(
             table,
             row["run"],
             row["status"],
-            f"{row['generation']}/{row['generations']}",
+            _generation(row),
             "" if best is None else per_trial(best, row["trials"]),
-            "" if left is None else duration(left),
+            quiet if left is None else duration(left),
         )
     tables.show(table)
     tables.unit(row.get("trials", 1) for row in rows)

@@ -27,11 +27,14 @@ LIVE = 2000  # the last batches, which are read one by one; of earlier ones, sum
 EARLIER = 20_000  # batches that a look sums up
 AT_MOST = 2000  # rows of a kind that a look reads
 PACE = 20  # generations from whose time the remaining time is estimated
+# Without an outcome, and for some generations, until a run is known to be quiet.
+QUIET_S, QUIET_GENERATIONS = 60.0, 3
 SERVERS_S = 1.0  # between updates of servers without an event
 RUNNING = ("running", "paused", "stopping")
 BEGIN = """
     SELECT (SELECT coalesce(max(rowid), 0) FROM events), coalesce(max(generation), -1),
-        (SELECT coalesce(max(id), 0) FROM outcomes) FROM generations"""
+        (SELECT coalesce(max(id), 0) FROM outcomes),
+        (SELECT coalesce(max(at), 0.0) FROM events WHERE event = ?) FROM generations"""
 BEFORE = """
     SELECT (SELECT coalesce(sum(count), 0) FROM events WHERE event = ? AND rowid <= ?),
         coalesce(sum(evaluations), 0) FROM generations WHERE generation <= ?"""
@@ -55,6 +58,7 @@ class RecordTail:
         self._read_up_to: tuple[Any, ...] | None = None
         self._began = False
         self._run: Run  # as it was read last
+        self._began_at: float  # when the run began, or was resumed last
         # What was read last.
         self._generation, self._event, self._outcome, self._earlier = -1, 0, 0, 0
         self._finished: deque[float] = deque(maxlen=PACE + 1)  # when generations were
@@ -106,7 +110,9 @@ class RecordTail:
 
     def _begin(self, run: Run) -> None:
         """Choose where to begin, and sum up what was before."""
-        ((event, generation, outcome),) = run.rows(BEGIN, tuple[int, int, int])
+        ((event, generation, outcome, self._began_at),) = run.rows(
+            BEGIN, tuple[int, int, int, float], RunEvent.BEGAN
+        )
         self._generation = max(-1, generation - PACE)
         self._event = max(0, event - EVENTS)
         self._outcome = self._earlier = max(0, outcome - LIVE)
@@ -140,6 +146,8 @@ class RecordTail:
         self._table.add_events(events)
         for event in events:
             self._event = event.id
+            if event.event == RunEvent.BEGAN:
+                self._began_at = event.at
             self._requeued += event.count * (event.event == RunEvent.REQUEUED)
         return events
 
@@ -188,6 +196,10 @@ class RecordTail:
         left_s = left * pace + complete.generations * pace * after / searching
         if not left and trials:
             left_s *= max(0.0, 1 - counted / trials)
+        newest = self._newest()
+        quiet_s = now - max(newest, self._began_at)
+        quiet = found == "running" and quiet_s > max(QUIET_S, QUIET_GENERATIONS * pace)
+        expected = pace and found == "running" and not quiet
         return {
             "status": found,
             "running": running,
@@ -199,13 +211,14 @@ class RecordTail:
             "evaluations": self._evaluations,
             "rate": round(rate / each, 2) if each else None,
             "trial_rate": round(rate, 1),
-            "eta_s": round(left_s, 1) if pace and found == "running" else None,
+            "eta_s": round(left_s, 1) if expected else None,
+            "quiet_s": quiet_s // QUIET_S * QUIET_S if quiet else 0.0,  # in minutes
             "best": per_trial(self._best, means),
             "champion": msgspec.to_builtins(champion and champion.per_trial(means)),
             "mean": per_trial(self._mean, means),
             "best_sum": self._best,  # as in the record
             "fitness_trials": means,
-            "at": self._newest() or None,
+            "at": newest or None,
             "servers": sum(server.slots > 0 for server in servers) if running else 0,
             "slots": sum(server.slots for server in servers) if running else 0,
             "requeued": self._requeued,
