@@ -237,7 +237,7 @@ def test_a_server_whose_slots_have_too_little_memory_is_named(tmp_path: Path) ->
         optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "1", *options])
         assert optimizer.wait() == 4
         assert (
-            "is not used: a slot here has 512 MB, the run asks for 1024"
+            "is not used: a slot has 512 MB, the run asks for 1024"
             in optimizer.err.read_text()
         )
     finally:
@@ -260,7 +260,7 @@ def test_servers_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> 
         optimizer = Optimizer(tmp_path, "ot", ["run", "--servers", "1", *options])
         assert optimizer.wait() == 4
         assert (
-            "no simulator 'emergency-exit' here; there are minisim"
+            "the server has no simulator 'emergency-exit'; it has minisim"
             in optimizer.err.read_text()
         )
         assert "0 of 1 matching servers" in only_line(optimizer.err.read_text())
@@ -275,7 +275,7 @@ def test_servers_that_do_not_match_are_named_with_the_reason(tmp_path: Path) -> 
             ["servers", "--wait", "1", "--for", "emergency-exit", "--json", *options],
         )
         assert seen.wait() == 0
-        assert seen.lines()[0]["mismatch"].startswith("no simulator")
+        assert seen.lines()[0]["mismatch"].startswith("the server has no simulator")
     finally:
         server.close()
 

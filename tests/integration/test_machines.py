@@ -517,7 +517,7 @@ def test_servers_are_upgraded_during_a_run(site: Site, alone: str) -> None:
     run.wait_counted(counted + 100)
     site.fleet("upgrade", first, PACKAGE=by_path("0.2.0"))
     assert {"active", "0.2.0"} <= set(re.split(r"[\s,]+", site.fleet("status", first)))
-    run.wait_said("another version")
+    run.wait_said("is not used: versions differ")
     assert run.err.read_text().count("is not used") == 1
     site.fleet("upgrade", second, PACKAGE=by_path("0.1.1"))
     assert run.done()["history_hash"] == alone

@@ -184,16 +184,16 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
     }
     excluded = {
         "minisim": {
-            "logic": "no simulator 'minisim' here; there are xor",
-            "later": "another version is installed here: other code of simulator minisim; "
-            "install the same, and start this server again",
+            "logic": "the server has no simulator 'minisim'; it has xor",
+            "later": "versions differ: other code of simulator minisim; "
+            "install the same, and start the server again",
             "limited": "minisim.robots is 2; this server takes at most 1",
             "bare": "the experiment requires gpu=yes (it has gpu=no)",
         },
         "xor": {
-            "tanks": "no simulator 'xor' here; there are minisim",
-            "later": "no simulator 'xor' here; there are minisim",
-            "limited": "no simulator 'xor' here; there are minisim",
+            "tanks": "the server has no simulator 'xor'; it has minisim",
+            "later": "the server has no simulator 'xor'; it has minisim",
+            "limited": "the server has no simulator 'xor'; it has minisim",
             "bare": "the experiment requires gpu=yes (it has gpu=no)",
         },
     }
@@ -259,7 +259,7 @@ def test_each_of_two_runs_uses_the_servers_that_match_it_and_names_the_others_on
     finally:
         for program in (*servers.values(), *programs):
             program.close()
-    assert refused_by_tanks == "no simulator 'xor' here; there are minisim"
+    assert refused_by_tanks == "the server has no simulator 'xor'; it has minisim"
     assert refused_by_limited == [
         *(
             f"minisim.robots is {robots}; this server takes at most 1"
@@ -337,9 +337,7 @@ def test_missing_packages_are_reported_with_the_install_command(
         server.close()
         optimizer.close()
     needed = " ".join(f"{name}=={said}" for name, said in packages.items())
-    assert offers[0].startswith(
-        "packages that 'pettingzoo' needs are not installed here: "
-    )
+    assert offers[0].startswith("the server lacks packages that 'pettingzoo' needs: ")
     assert offers[0].endswith(f"install {needed}")
     assert offers[1] == ""
     assert "another version" in refused

@@ -96,19 +96,31 @@ def proposing(optimizer: str) -> dict[str, str]:
     return packages | plugins.distribution_versions("optimizer", optimizer)
 
 
-def differing(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:
-    """Describe how this machine's versions differ from those that are asked for."""
-    found = []
+def differing(
+    found: Mapping[str, str],
+    asked: Mapping[str, str],
+    at: str = "here",
+    other: str = "there",
+) -> list[str]:
+    """Describe how versions differ.
+
+    Args:
+        found: on this machine.
+        asked: of another one, or of an earlier time.
+        at: where ``found`` is, in the words of the reader.
+        other: where ``asked`` is.
+    """
+    parts = []
     for name, theirs in asked.items():
-        if here.get(name) == theirs:
+        if found.get(name) == theirs:
             continue
         if name.startswith((CODE, BUILD)):
-            found.append(f"other {name}")
-        elif name in here:
-            found.append(f"{name} {here[name]} here, {theirs} there")
+            parts.append(f"other {name}")
+        elif name in found:
+            parts.append(f"{name} {found[name]} {at}, {theirs} {other}")
         else:
-            found.append(f"no {name} here")
-    return found
+            parts.append(f"no {name} {at}")
+    return parts
 
 
 def lacking(here: Mapping[str, str], asked: Mapping[str, str]) -> list[str]:

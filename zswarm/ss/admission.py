@@ -133,32 +133,27 @@ class Admission:
             return ""
         if simulator not in self.simulators:
             names = ", ".join(self.simulators)
-            return f"no simulator {simulator!r} here; there are {names}"[:MAX_TEXT]
+            return f"the server has no simulator {simulator!r}; it has {names}"[:MAX_TEXT]
         if pair not in self._hashes:
-            return f"no representation {representation!r} here"[:MAX_TEXT]
+            return f"the server has no representation {representation!r}"[:MAX_TEXT]
         if self._hashes[pair] != asked.version_hash:
             return self._difference(pair, there)
         if asked.trial_memory_mb > self._slot_memory_mb:
             asked_mb = asked.trial_memory_mb
-            return (
-                f"a slot here has {self._slot_memory_mb} MB, the run asks for {asked_mb}"
-            )
+            return f"a slot has {self._slot_memory_mb} MB, the run asks for {asked_mb}"
         return broken(self.limits, simulator, settings)
 
     def _difference(self, pair: tuple[str, str], there: dict[str, str]) -> str:
         simulator, representation = pair
         here = self._versions[pair]
         if missing := lacking(here, there):
-            how = installing(*missing)
-            text = f"packages that {simulator!r} needs are not installed here: {how}"
-            return text[:MAX_TEXT]
-        if parts := differing(here, there):
-            text = (
-                f"another version is installed here: {'; '.join(parts)[: MAX_TEXT // 2]}"
-            )
-            return f"{text}; install the same, and start this server again"
+            what = f"the server lacks packages that {simulator!r} needs"
+            return f"{what}: {installing(*missing)}"[:MAX_TEXT]
+        if parts := differing(here, there, "on the server", "in the run"):
+            what = f"versions differ: {'; '.join(parts)[: MAX_TEXT // 2]}"
+            return f"{what}; install the same, and start the server again"
         versions = f"{simulator}, {representation}, zswarm or numba"
-        return f"another version of {versions} is installed here"
+        return f"the server has another version of {versions}"
 
 
 def read(tables: Mapping[str, Any], simulators: Sequence[str], where: str) -> list[Limit]:
