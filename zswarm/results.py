@@ -104,8 +104,9 @@ def tidy(
 
     Args:
         runs: runs, their folders, or folders that contain runs.
-        rows: one row for each run, for each of their generations, or for each trial of their
-            champions, as ``zswarm-ot evaluate`` played them.
+        rows: one row for each run, with the means of ``zswarm-ot evaluate`` if it played the
+            champion (``evaluated_fitness``, ``evaluated_METRIC``); one for each generation of a
+            run; or one for each trial of its champion, as ``zswarm-ot evaluate`` played it.
         labels: other names of groups.
 
     Raises:
@@ -213,7 +214,12 @@ def _rows(run: Run, rows: str) -> list[dict[str, Any]]:
     if not made:
         return []
     held_out = None if series.held_out is None else series.held_out[0]
-    return [{"generations": len(made), **made[-1], "held_out": held_out}]
+    row = {"generations": len(made), **made[-1], "held_out": held_out}
+    if measure.exists(run):
+        evaluated = measure.load(run)
+        for name in (measure.FITNESS, *evaluated.metrics):
+            row[f"evaluated_{name}"] = evaluated.value(name)
+    return [row]
 
 
 def _groups(

@@ -148,7 +148,14 @@ def test_a12_is_the_probability_that_a_run_of_the_first_group_is_better() -> Non
         {"a": ended([1, 2, 3, 4]), "b": ended([1, 5, 6, 7])}, "generations"
     ).pairs
     assert pair.a12 == (0.5 + 1 + 1 + 1) / 16
-    assert effect(pair.a12) == effect(1 - pair.a12) == "large"
+    assert pair.effect == "unclear", "of so few runs"
+
+
+def test_an_effect_is_named_if_its_direction_is_clear() -> None:
+    assert effect(0.8, 0.55, 0.93) == effect(0.2, 0.07, 0.45) == "large"
+    assert effect(0.8, 0.45, 0.95) == "unclear"
+    assert effect(0.6, 0.51, 0.68) == "small"
+    assert effect(0.52, 0.49, 0.55) == "negligible"
 
 
 def test_equal_groups_do_not_differ_significantly() -> None:
@@ -310,7 +317,7 @@ def test_a_difference_without_a_significant_pair_is_explained() -> None:
 
 def test_words_give_the_p_value_and_the_corrected_one() -> None:
     """A corrected p is no probability of chance: it is named for what it is."""
-    pair = Pair("a", "b", 25.0, 0.008, 0.048, 1.0, "exact")
+    pair = Pair("a", "b", 25.0, 0.008, 0.048, 1.0, "exact", 0.6)
     words = comparison.describe(pair, "fitness")
     assert words.endswith("A12 = 1.00 (large effect), p = 0.008, Holm-adjusted p = 0.048")
     alone = comparison.describe(pair._replace(p_holm=0.008), "fitness")

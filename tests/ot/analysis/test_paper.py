@@ -122,7 +122,11 @@ def test_champions_of_a_study_are_compared_by_a_metric(study: Path) -> None:
     )
     assert (told["by"], told["families"][0]["at"]) == (None, None)
     assert told["pairs"][0]["a12"] == 0.5
-    assert len(zswarm.tidy(study, rows="trials")) == 60
+    trials = zswarm.tidy(study, rows="trials")
+    assert len(trials) == 60
+    means = trials.groupby("run")["fitness"].mean()
+    told_of = zswarm.tidy(study).set_index("run")["evaluated_fitness"]
+    assert told_of.to_dict() == pytest.approx(means.to_dict())
     with pytest.raises(
         ConfigError, match="--measure wings: unknown; known are: search, "
     ):

@@ -11,7 +11,7 @@ import numpy as np
 from zswarm.errors import ConfigError
 from zswarm.ot.analysis import curves
 from zswarm.ot.analysis.curves import Groups, Series
-from zswarm.ot.analysis.effect_size import LEVEL, effect
+from zswarm.ot.analysis.effect_size import LEVEL, UNCLEAR
 from zswarm.ot.analysis.grouping import in_problem
 from zswarm.ot.analysis.importance import Importance, of_groups
 from zswarm.ot.analysis.measure import FITNESS, HELD_OUT, SEARCH, source, words
@@ -189,7 +189,8 @@ def describe(pair: Pair, measure: str) -> str:
         verb = "has a higher best fitness in search than"
     elif measure in (HELD_OUT, FITNESS):
         verb = "is better than"
-    size = f"A12 = {chance:.2f} ({effect(chance)} effect)"
+    known = f" ({pair.effect} effect)" if pair.effect != UNCLEAR else ""
+    size = f"A12 = {chance:.2f}{known}"
     return f"{better} {verb} {worse}: {size}, {p_values(pair)}"
 
 

@@ -17,6 +17,7 @@ from zswarm.system.extras import need
 Z = 1.959963984540054  # of 95 %
 STEPS = 60  # of a bisection
 LEVEL = 0.05  # of significance
+UNCLEAR = "unclear"
 # By A12; above, an effect is large.
 EFFECTS = ((0.56, "negligible"), (0.64, "small"), (0.71, "medium"))
 
@@ -38,8 +39,16 @@ def a12_interval(a12: float, m: int, n: int) -> tuple[float, float]:
     return low, high
 
 
-def effect(a12: float) -> str:
-    """Name the size of an effect."""
+def effect(a12: float, low: float, high: float) -> str:
+    """Name the size of an effect; ``UNCLEAR`` if it may be one in either direction.
+
+    Args:
+        a12: of the effect.
+        low: of its interval.
+        high: of its interval.
+    """
+    if low <= 0.5 <= high and max(1.0 - low, high) >= EFFECTS[0][0]:
+        return UNCLEAR
     size = max(a12, 1.0 - a12)
     return next((name for bound, name in EFFECTS if size < bound), "large")
 

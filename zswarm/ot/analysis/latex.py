@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 
 from zswarm.ot.analysis.comparison import Comparison, Row, effort_unit, ordered
-from zswarm.ot.analysis.effect_size import LEVEL, effect
+from zswarm.ot.analysis.effect_size import LEVEL
 from zswarm.ot.analysis.significance import Pair
 from zswarm.system.text import clean
 
@@ -89,7 +89,7 @@ def _pair(pair: Pair) -> Sequence[str]:
         _bold(p_value(pair.p_holm), wanted=pair.p_holm < LEVEL),
         f"{pair.a12:.2f}",
         f"{pair.a12_low:.2f}--{pair.a12_high:.2f}",
-        effect(pair.a12),
+        pair.effect,
     )
 
 

@@ -46,6 +46,11 @@ def save(run: Run, found: Evaluated) -> None:
     write_whole(run.folder / FILE, text.encode())
 
 
+def exists(run: Run) -> bool:
+    """Return whether a champion of a run was evaluated, maybe an earlier one."""
+    return (run.folder / FILE).exists()
+
+
 def load(run: Run) -> Evaluated:
     """Return what a run's champion did.
 

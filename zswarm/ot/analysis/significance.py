@@ -41,9 +41,14 @@ class Pair(NamedTuple):
         """Cliff's delta."""
         return 2 * self.a12 - 1
 
+    @property
+    def effect(self) -> str:
+        """The size of the effect in a word."""
+        return effect(self.a12, self.a12_low, self.a12_high)
+
     def as_object(self) -> dict[str, Any]:
         """Return what is reported to programs."""
-        return {**self._asdict(), "delta": self.delta, "effect": effect(self.a12)}
+        return {**self._asdict(), "delta": self.delta, "effect": self.effect}
 
 
 class Family(NamedTuple):

@@ -97,7 +97,6 @@ def command(
 def _cells(found: "Comparison") -> tuple[list[str], list[list[object]]]:
     """Return the rows of a CSV file: one for each group, then one for each pair."""
     from zswarm.ot.analysis.comparison import Row
-    from zswarm.ot.analysis.effect_size import effect
     from zswarm.ot.analysis.significance import Pair
 
     tests = [*Pair._fields[2:-1], "delta", "effect"]
@@ -108,7 +107,7 @@ def _cells(found: "Comparison") -> tuple[list[str], list[list[object]]]:
     blank = [None] * (len(Row._fields) - 2)
     for pair in found.pairs:
         cells: list[object] = ["pair", pair.first, *blank, pair.problem, pair.second]
-        rows.append([*cells, *pair[2:-1], pair.delta, effect(pair.a12)])
+        rows.append([*cells, *pair[2:-1], pair.delta, pair.effect])
     return header, rows
 
 

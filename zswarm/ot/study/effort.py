@@ -81,9 +81,16 @@ def differing(found: Sequence[Cell]) -> dict[str, list[str]]:
 
 
 def contrasts(found: Sequence[Cell]) -> dict[str, list[str]]:
-    """Return what differs between settings that have it; the rest only one kind has."""
-    rows = differing(found)
-    return {key: row for key, row in rows.items() if len(set(row) - {""}) > 1}
+    """Return what the study changes, and what differs between settings that have it.
+
+    The rest are defaults that only one kind has.
+    """
+    changed = {key for cell in found for key in cell.changes}
+    return {
+        key: row
+        for key, row in differing(found).items()
+        if key in changed or len(set(row) - {""}) > 1
+    }
 
 
 def warnings(loaded: Experiment, found: Sequence[Cell]) -> Iterator[str]:
