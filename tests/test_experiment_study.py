@@ -32,6 +32,21 @@ def test_a_file_without_a_study_has_one_variant(tmp_path: Path) -> None:
     assert "study" not in to_toml(alone)
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[study]\nrepeat = 2",
+        "[study]\nbudget = { evaluations = 100 }",
+        "[study.variants.Large]\noptimizer = { population = 100 }",
+    ],
+)
+def test_repeats_a_budget_or_a_variant_ask_for_the_runs_of_a_study(
+    tmp_path: Path, text: str
+) -> None:
+    assert study(tmp_path, text).study.asks_for_runs()
+    assert not study(tmp_path, "[study]\nat_once = 1").study.asks_for_runs()
+
+
 def test_a_grid_has_every_combination_with_the_last_key_fastest(tmp_path: Path) -> None:
     text = '[study.grid]\n"optimizer.population" = [50, 100]\n"representation.hidden" = [1, 2]'
     made = variants(study(tmp_path, text), "small.toml")

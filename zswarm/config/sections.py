@@ -338,9 +338,10 @@ class StudyConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
             axes.insert(0, named)
         return [_joined(row) for row in itertools.product(*axes)]
 
-    def varies(self) -> bool:
-        """Return whether there is a setting that changes the experiment."""
-        return any(changes for changes, _ in self.settings())
+    def asks_for_runs(self) -> bool:
+        """Return whether this asks for more than the experiment's own run."""
+        varies = any(changes for changes, _ in self.settings())
+        return self.runs() > 1 or varies or self.budget != BudgetConfig()
 
     def count(self) -> int:
         """Return the number of settings."""

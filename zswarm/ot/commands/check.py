@@ -59,7 +59,7 @@ def command(
     loaded, complete = options.loaded_and_complete(name, overrides, network)
     study, explained = None, None
     with tables.doing("playing a few trials; the first time, kernels are compiled"):
-        if complete.study.runs() > 1 or complete.study.varies():
+        if complete.study.asks_for_runs():
             _, cells = checked_plan(complete, name, {})
             study = forecast(loaded, complete, cells)
             warnings = study.warnings
@@ -145,10 +145,8 @@ def study_lines(study: "Forecast", complete: Experiment) -> Iterator[tuple[str, 
 
     repeat, seed, cells = complete.study.repeat, complete.seed, study.cells
     times = "once" if repeat == 1 else f"{repeat} times"
-    runs = (
-        f"{plural(len(cells), 'setting')}, each run {times}: {repeat * len(cells):,} runs"
-    )
-    yield "study", f"{runs}. All settings are possible"
+    settings, runs = plural(len(cells), "setting"), plural(repeat * len(cells), "run")
+    yield "study", f"{settings}, each run {times}: {runs}. All settings are possible"
     seeds = f"seed {seed}" if repeat == 1 else f"seeds {seed} to {seed + repeat - 1}"
     budget = [
         f", {plural(limit, unit.removesuffix('s'))} in each run"

@@ -102,7 +102,7 @@ def command(
             loaded = options.with_cluster(loaded, {"servers": "local"})
         connection = stack.enter_context(Connection(loaded.cluster))
         stack.enter_context(blamed())
-        if loaded.study.runs() > 1 or loaded.study.varies():
+        if loaded.study.asks_for_runs():
             with _study(loaded, path, out) as study:
                 settle(study.folder)
                 playing.play(study, connection, folders, **shown)
