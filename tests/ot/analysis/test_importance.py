@@ -68,6 +68,20 @@ def test_settings_that_change_together_count_once_under_the_first() -> None:
     assert [effect.name for effect in found.effects] == ["kind", "n", "kind x n"]
 
 
+def test_what_one_of_three_kinds_alone_has_counts_with_the_kind() -> None:
+    tables: list[dict[str, object]] = [
+        {"optimizer.kind": "nnga", "optimizer.population": 20, "optimizer.severity": 0.3},
+        {"optimizer.kind": "pso", "optimizer.population": 20, "optimizer.inertia": 0.7},
+        {"optimizer.kind": "cmaes", "optimizer.population": 10, "optimizer.sigma": 0.5},
+    ]
+    cells = [
+        (table, float(at + seed)) for at, table in enumerate(tables) for seed in (0, 1)
+    ]
+    found = importance([table for table, _ in cells], [value for _, value in cells])
+    assert [effect.name for effect in found.effects] == ["optimizer.kind"]
+    assert found.effects[0].eta2 == pytest.approx(4 / 5.5)
+
+
 def test_groups_of_unequal_size_are_cut_to_the_smallest() -> None:
     settings = [{"a": 0}] * 5 + [{"a": 1}] * 2
     found = importance(settings, [1.0, 1.0, 9.0, 9.0, 9.0, 2.0, 2.0])

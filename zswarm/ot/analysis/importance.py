@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+KINDS = (".kind", ".simulator")
+
 
 class Effect(NamedTuple):
     """A setting, or an interaction of two."""
@@ -123,8 +125,8 @@ def without(runs: int, why: str) -> Importance:
 def _factors(settings: Sequence[Mapping[str, Any]]) -> tuple[list[str], np.ndarray]:
     """Return the settings that differ, and the number of each run's value: (runs, settings).
 
-    Settings that change together are one: the first, or a kind if there is one. So the settings
-    of a network that only one kind of network has are not counted next to its kind.
+    Settings that change together are one, named by the first. What a kind, such as that of the
+    optimizer, determines is not counted next to it: a setting that only some kinds have.
     """
     known: dict[tuple[int, ...], str] = {}
     for name in dict.fromkeys(key for one in settings for key in one):
@@ -135,8 +137,19 @@ def _factors(settings: Sequence[Mapping[str, Any]]) -> tuple[list[str], np.ndarr
         column = tuple(numbers[text] for text in texts)
         if len(numbers) > 1:
             known.setdefault(column, name)
+    kinds = [column for column, name in known.items() if name.endswith(KINDS)]
+    known = {
+        column: name
+        for column, name in known.items()
+        if not any(column != kind and _determines(kind, column) for kind in kinds)
+    }
     levels = np.array(list(known), np.int64).reshape(-1, len(settings)).T
     return list(known.values()), levels
+
+
+def _determines(one: Sequence[int], other: Sequence[int]) -> bool:
+    """Return whether the other has one value only for each value of the one."""
+    return len(set(zip(one, other, strict=True))) == len(set(one))
 
 
 def _balanced(y: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
