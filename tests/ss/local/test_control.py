@@ -119,7 +119,10 @@ def test_silent_unresponsive_and_disconnected_clients_are_dropped(
         connection.close()
 
 
-def test_a_waiting_client_stays_connected_until_the_server_ends(folder: Path) -> None:
+def test_a_waiting_client_stays_connected_until_the_server_ends(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Nothing is logged when it is dropped then."""
     server = new("ss-1")
     with connected(server) as connection:
         connection.send(b'{"ask": "drain", "wait": true}\n')
@@ -130,9 +133,12 @@ def test_a_waiting_client_stays_connected_until_the_server_ends(folder: Path) ->
                 answers.read(1)
         server.close()
         assert rest(connection) == b""
+    assert not caplog.records
 
 
-def test_too_many_clients_drop_the_oldest(server: Control) -> None:
+def test_too_many_clients_drop_the_oldest(
+    server: Control, caplog: pytest.LogCaptureFixture
+) -> None:
     """The newest is served, the oldest goes."""
     crowd = [connected(server) for _ in range(MAX_CLIENTS)]
     assert asked(server, b'{"ask": "status"}\n')["ask"] == "status"
@@ -140,6 +146,7 @@ def test_too_many_clients_drop_the_oldest(server: Control) -> None:
     crowd[1].settimeout(0.1)
     with pytest.raises(TimeoutError):
         crowd[1].recv(1)
+    assert not caplog.records
     for connection in crowd:
         connection.close()
 

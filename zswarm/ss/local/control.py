@@ -106,7 +106,7 @@ class Control:
 
     async def _listen(self) -> None:
         server = await asyncio.start_unix_server(
-            self._serve, sock=self._socket, limit=MAX_REQUEST
+            self._accept, sock=self._socket, limit=MAX_REQUEST
         )
         await self._closing.wait()
         # Not ``server.close``: a client that was just accepted could not attach to a closed server.
@@ -115,14 +115,22 @@ class Control:
             await asyncio.sleep(0)
         server.close()
 
-    async def _serve(
-        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
-    ) -> None:
-        """Serve a client; drop the oldest if there are too many."""
-        task = asyncio.current_task()
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        """Serve a client in a task; drop the oldest if there are too many.
+
+        The task is made here because asyncio prints the end of its own if they are cancelled.
+        """
+        task = self._loop.create_task(self._serve(reader, writer))
+        task.add_done_callback(lambda _: writer.transport.abort())
         self._clients.append(task)
         if len(self._clients) > MAX_CLIENTS:
             self._clients.pop(0).cancel()
+
+    async def _serve(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        """Answer a client, and stay connected if it waits for the server's end."""
+        task = asyncio.current_task()
         writer.transport.set_write_buffer_limits(0)  # ``drain`` waits until all is sent
         try:
             async with asyncio.timeout(CLIENT_S):
@@ -137,7 +145,6 @@ class Control:
         finally:
             if task in self._clients:
                 self._clients.remove(task)
-            writer.transport.abort()
 
     async def _reply(
         self, reader: asyncio.StreamReader, user: int
