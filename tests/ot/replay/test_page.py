@@ -150,9 +150,9 @@ def test_the_command_writes_the_requested_format(
     for kind in ("gif", "html", "csv"):
         said = typed(str(folder), "--to", kind, "--generation", "1", "--candidate", "2")
         assert said.output.startswith(
-            f"minisim.{kind}: minisim, generation 1, candidate 2, trial 0, fitness "
+            f"minisim-replay.{kind}: minisim, generation 1, candidate 2, trial 0, fitness "
         )
-    assert sorted(os.listdir()) == ["minisim.csv", "minisim.gif", "minisim.html"]
+    assert sorted(os.listdir()) == [f"minisim-replay.{kind}" for kind in ("csv", "gif", "html")]
     said = typed(str(folder), "--to", "html", "-o", "x.html", "--json")
     told = json.loads(said.stdout)
     assert (told["file"], told["run"], told["note"], told["error"]) == (

@@ -59,7 +59,7 @@ LARGEST = 256 << 20  # bytes of the traces of a page
     help="Write a file, and open no browser.",
 )
 @options.output_option(
-    "The file: .gif, .html or .csv.  [default: the run's name with that extension]"
+    "The file: .gif, .html or .csv.  [default: RUN-replay with that extension]"
 )
 @options.json_option
 def command(
@@ -95,7 +95,7 @@ def command(
     several = bool(other or generations or trials)
     _check(given, candidate, generations, len(paths), kind if several else None)
     names = "-".join(one.resolve().name for one in paths)
-    output = output or Path(f"{names}.{kind}")
+    output = output or Path(f"{names}-replay.{kind}")
     chosen = []
     for number, one in enumerate(paths):
         # One that is given alone counts for both runs.
