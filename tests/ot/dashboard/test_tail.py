@@ -8,10 +8,13 @@ import pytest
 from tests.ot.estimate.test_predict import with_times
 from tests.ot.invented_record import written
 from tests.ot.record.sealing import reseal
+from zswarm.config.sections import StopConfig
 from zswarm.ot.dashboard.run_index import RunIndex
 from zswarm.ot.dashboard.tail import RecordTail
 from zswarm.ot.notes import Note, RunEvent
 from zswarm.ot.record import control_file as control
+from zswarm.ot.record import stopping
+from zswarm.ot.record.reader import Run
 from zswarm.ot.record.schema import ASSESSMENT
 from zswarm.ot.record.writer import Record
 
@@ -114,3 +117,24 @@ def test_a_run_without_outcomes_for_long_is_quiet(tmp_path: Path) -> None:
     with record:
         state = RecordTail(folder).look()["state"]
         assert (state["eta_s"] is None, state["quiet_s"]) == (False, 0.0)
+
+
+def test_generations_and_time_left_are_those_that_a_budget_has_room_for(
+    tmp_path: Path,
+) -> None:
+    """Three candidates a generation: 21 of 30 evaluations leave room for three more."""
+    budget = StopConfig(evaluations=30)
+    folder = written(tmp_path, range(7), trials=10, finished=False, stop=budget)
+    complete = Run(folder).experiment
+    assert complete.generations == 8
+    assert stopping.expected_generations(complete, 0, 0, 0) == 8
+    file = folder / "experiment.toml"
+    file.write_text(file.read_text().replace("generations = 8", "generations = 500"))
+    with_times(folder, 2.0)
+    record, _ = Record.open(folder)
+    with record:
+        state = RecordTail(folder).look()["state"]
+    assert (state["generation"], state["generations"]) == (7, 10)
+    assert state["eta_s"] == pytest.approx(3 * 2.0 + 0.1 * 10 * 2.0)
+    row = RunIndex([tmp_path]).rows()[0]
+    assert (row["generation"], row["generations"]) == (7, 10)

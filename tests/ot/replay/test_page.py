@@ -152,7 +152,9 @@ def test_the_command_writes_the_requested_format(
         assert said.output.startswith(
             f"minisim-replay.{kind}: minisim, generation 1, candidate 2, trial 0, fitness "
         )
-    assert sorted(os.listdir()) == [f"minisim-replay.{kind}" for kind in ("csv", "gif", "html")]
+    assert sorted(os.listdir()) == [
+        f"minisim-replay.{kind}" for kind in ("csv", "gif", "html")
+    ]
     said = typed(str(folder), "--to", "html", "-o", "x.html", "--json")
     told = json.loads(said.stdout)
     assert (told["file"], told["run"], told["note"], told["error"]) == (

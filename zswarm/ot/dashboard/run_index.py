@@ -11,6 +11,7 @@ from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.run_index import folders_below, stamp, status, summary
+from zswarm.ot.record.stopping import expected_generations
 from zswarm.system.format import mean
 from zswarm.system.text import clean
 
@@ -96,10 +97,14 @@ def _details(folder: Path) -> tuple[dict[str, Any], Experiment | None]:
         complete = Run(folder).experiment
     except ConfigError as error:
         return {"error": str(error)}, None
-    trials = row["trials"]
+    done, trials = row["generations"], row["trials"]
     details = {
-        "generation": row["generations"],
-        "generations": complete.generations,
+        "generation": done,
+        "generations": done
+        if row["history_hash"]
+        else expected_generations(
+            complete, done, row["candidates"], row["candidates"] // max(1, done)
+        ),
         "fitness_trials": trials,
         "best": mean(row["best"], trials),
         "held_out": mean((row["champion"] or {"mean": None})["mean"], trials),

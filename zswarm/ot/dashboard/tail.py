@@ -15,7 +15,7 @@ from zswarm.ot.assessment import amount
 from zswarm.ot.dashboard.rows import BatchRow, EventRow, read_batches, read_events
 from zswarm.ot.dashboard.servers import ServerTable
 from zswarm.ot.notes import RunEvent
-from zswarm.ot.record import control_file
+from zswarm.ot.record import control_file, stopping
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.run_index import stamp, status
 from zswarm.ot.record.schema import ASSESSMENT
@@ -185,15 +185,20 @@ class RecordTail:
         each = complete.problem.trials if complete.ranking.kind == "absolute" else 0
         current, pace = self._generation + 1, self._pace()
         champion, means = self._run.held_out, self._run.fitness_trials
-        left = complete.generations - current
-        after = self._trials_after(complete, each)
+        last = current
+        if not self._run.finished:
+            last = stopping.expected_generations(
+                complete, current, self._evaluations, self._candidates
+            )
+        left = last - current
+        after = self._trials_after(complete, each, last)
         if left or not running:
             counted = self._counted.get(current, 0)
             trials = self._candidates * each if left else 0
         else:
             counted, trials = self._counted.get(ASSESSMENT, 0), after
-        searching = max(1, complete.generations * self._candidates * each)
-        left_s = left * pace + complete.generations * pace * after / searching
+        searching = max(1, last * self._candidates * each)
+        left_s = left * pace + last * pace * after / searching
         if not left and trials:
             left_s *= max(0.0, 1 - counted / trials)
         newest = self._newest()
@@ -205,7 +210,7 @@ class RecordTail:
             "running": running,
             "asked": control_file.asked(self.folder) if running else "",
             "generation": current,  # finished ones
-            "generations": complete.generations,
+            "generations": last,  # expected, by the budgets
             "counted": counted if running else 0,
             "trials": trials if running else 0,
             "evaluations": self._evaluations,
@@ -224,12 +229,12 @@ class RecordTail:
             "requeued": self._requeued,
         }
 
-    def _trials_after(self, complete: Experiment, each: int) -> int:
+    def _trials_after(self, complete: Experiment, each: int, last: int) -> int:
         """Return how many trials follow the last generation, at most."""
         searched = round(amount.played(complete) * self._evaluations * each)
         if current := self._generation + 1:
-            searched = searched * complete.generations // current
-        return amount.trials_after(complete, searched, complete.generations, fit=each > 0)
+            searched = searched * last // current
+        return amount.trials_after(complete, searched, last, fit=each > 0)
 
     def _pace(self) -> float:
         """Return the median seconds of the last generations, which ignores pauses; 0: unknown."""

@@ -30,7 +30,7 @@ class PlainDisplay(Logger):
         self.on_say(line)
 
     def on_generation(self, generation: Generation) -> None:
-        self.on_say(progress(generation, self._generations))
+        self.on_say(progress(generation, generation.last or self._generations))
 
     def on_end(self, result: Result | None) -> None:
         if result is not None:

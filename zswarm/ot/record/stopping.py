@@ -84,6 +84,23 @@ class StopWatch:
         return ""
 
 
+def expected_generations(
+    complete: Experiment, done: int, evaluations: int, last: int
+) -> int:
+    """Return how many generations a run has, by its budgets, if the others are as large.
+
+    Args:
+        done: finished generations.
+        evaluations: in all of them.
+        last: evaluations in the last one.
+    """
+    trials, parts = complete.problem.trials, (evaluations - last, last)
+    spent = [Spent(None, count, count * trials, 0.0) for count in parts]
+    left = StopWatch(complete.stop, trials, spent if done else ()).generations_left()
+    most = complete.generations
+    return most if left is None else min(most, done + left)
+
+
 def entry(stop: StopConfig, reason: str) -> str:
     """Return the text that the record keeps of a run that ended."""
     return json.dumps({"stop": msgspec.to_builtins(stop), "why": reason})
