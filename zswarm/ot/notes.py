@@ -26,7 +26,7 @@ class RunEvent(StrEnum):
     SERVER_BACK = "server_back", "info", "{server} is back"
     SERVER_MISMATCH = "server_mismatch", "warning", "{server} is not used: {text}"
     SERVER_REFUSED = "server_refused", "warning", "{server} refused: {text}"
-    SERVER_DIFFERS = "server_differs", "warning", "{server} is not used: {text}"
+    SERVER_DIFFERS = "server_differs", "warning", "{server} is not used yet: {text}"
     SERVER_FAULTY = (
         "server_faulty",
         "error",

@@ -72,7 +72,8 @@ MENU = ("Results", 7)
     "--note/--no-note",
     "noted",
     default=True,
-    help="Write below what bands, boxes or violins are, and the test's result.  [default: note]",
+    help="Write below what bands, boxes or violins are, and under curves the test's result.  "
+    "[default: note]",
 )
 @options.json_option
 def command(

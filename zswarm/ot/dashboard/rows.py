@@ -6,6 +6,7 @@ from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from zswarm.ot.notes import severity
+from zswarm.ot.record import epochs
 from zswarm.ot.record.reader import Run
 from zswarm.system.text import clean
 
@@ -29,7 +30,8 @@ class EventRow(Struct, frozen=True, array_like=True):
 
     def as_mapping(self) -> dict[str, Any]:
         """Return the event for a page, with its severity: error, warning or info."""
-        return {**asdict(self), "level": severity(self.event)}
+        text = epochs.shown(self.event, self.text)
+        return {**asdict(self), "text": text, "level": severity(self.event)}
 
 
 class BatchRow(Struct, frozen=True, array_like=True):

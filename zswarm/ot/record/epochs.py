@@ -54,6 +54,19 @@ def decoded(texts: Iterable[str | None]) -> list[Epoch]:
     return found
 
 
+def shown(event: str, text: str) -> str:
+    """Return an event's text for people: of an epoch, what computes and where."""
+    found = decoded([text]) if event == RunEvent.BEGAN else []
+    if not found:
+        return text
+    packages = [
+        f"{name} {version}"
+        for name, version in found[0].versions.items()
+        if not name.startswith(DIGESTS)
+    ]
+    return clean(f"{', '.join(packages)}; on {found[0].machine}")
+
+
 def mark(found: Sequence[Epoch], generations: int) -> str:
     """Return which versions computed which generations, or "" if one computed all.
 

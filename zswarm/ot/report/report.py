@@ -23,6 +23,7 @@ from zswarm.ot.analysis import (
 )
 from zswarm.ot.estimate.retrospect import look_back
 from zswarm.ot.notes import RunEvent
+from zswarm.ot.record import epochs
 from zswarm.ot.record.folder import EXPERIMENT
 from zswarm.ot.record.reader import Row, Run
 from zswarm.ot.record.run_index import runs_below
@@ -78,7 +79,11 @@ def write(path: Path, output: Path, trials: int) -> None:
 def of_run(run: Run, trials: int) -> str:
     """Return the page of a run."""
     numbers = curves.series(run)
-    champion, servers, events = run.champion(), run.servers(), run.events()
+    champion, servers = run.champion(), run.servers()
+    events = [
+        {**event, "text": epochs.shown(event["event"], event["text"] or "")}
+        for event in run.events()
+    ]
     parts: dict[str, Any] = {}
     if len(numbers.best):
         parts["curve"] = _svg(figures.of_series({run.name: [numbers]}, size="screen"))

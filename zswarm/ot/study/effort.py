@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from msgspec.structs import asdict, replace
 
-from zswarm.config.sections import PartConfig, shown
+from zswarm.config.sections import BudgetConfig, PartConfig, shown
 from zswarm.experiment import PARTS, Experiment
 from zswarm.ot.analysis.grouping import flat
 from zswarm.ot.build import Parts
@@ -109,7 +109,11 @@ def warnings(loaded: Experiment, found: Sequence[Cell]) -> Iterator[str]:
     counts = [cell.effort.simulations for cell in found]
     if max(counts) > UNEQUAL * min(counts):
         words = f"the settings use from {min(counts):,} to {plural(max(counts), 'simulation')}"
-        yield f"{words} a run{_equal_budget(found)}"
+        advised = _equal_budget(found)
+        has_one = loaded.study.budget != BudgetConfig()
+        how = "nearly equal work change it" if has_one else "a nearly equal budget set"
+        how = f"; for {how} in [study], for example, {advised}" if advised else ""
+        yield f"{words} a run{how}"
 
 
 def _exceeded(loaded: Experiment, found: Sequence[Cell]) -> Iterator[str]:
@@ -129,7 +133,7 @@ def _exceeded(loaded: Experiment, found: Sequence[Cell]) -> Iterator[str]:
 
 
 def _equal_budget(found: Sequence[Cell]) -> str:
-    """Advise a budget with which the settings do nearly the same work, if there is one."""
+    """Return a budget with which the settings do nearly the same work; "" if there is none."""
     efforts = [cell.effort for cell in found]
     for unit, generations in (
         ("evaluations", [(one.first, one.later) for one in efforts]),
@@ -146,10 +150,7 @@ def _equal_budget(found: Sequence[Cell]) -> str:
                 for one, length in zip(efforts, lengths, strict=True)
             ]
             if max(work) <= UNEQUAL * min(work) and limit <= MOST_ADVISED:
-                return (
-                    "; for a nearly equal budget set in [study], for example, budget = "
-                    f"{{ {unit} = {limit} }}"
-                )
+                return f"budget = {{ {unit} = {limit} }}"
     return ""
 
 
