@@ -66,6 +66,7 @@ def aims(results: Results) -> Iterator[Aim]:
     yield from of_scale(results.get("scale"))
     yield from of_startup(results.get("startup"))
     yield from of_commands(results.get("commands"))
+    yield from of_questions(results.get("questions"))
     yield from of_kernels(results.get("kernels"))
     yield from of_runs(results.get("runs"))
     yield from of_populations(results.get("populations"))
@@ -168,6 +169,14 @@ def of_commands(found: Found | None) -> Iterator[Aim]:
         ("list", "list of 200 runs", 0.3),
     ):
         yield Aim(key, f"{of}: s", wanted, False, times.get(of), "{:.2f}".format)
+
+
+def of_questions(found: Found | None) -> Iterator[Aim]:
+    """Yield the time of a question to controllers at the optimizer."""
+    times = {row["of"]: row["us"] for row in found["rows"]} if found else {}
+    what = "controllers at the optimizer: us of a question and its answer"
+    value = times.get("a question for each turn")
+    yield Aim("questions", what, 150, False, value)
 
 
 def of_kernels(found: Found | None) -> Iterator[Aim]:

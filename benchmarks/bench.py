@@ -30,6 +30,7 @@ COMMANDS = {
         "scaling",
         "kernels",
         "dispatch",
+        "questions",
     )
 }
 COMMANDS["scale"] = ["-m", "scale"]
@@ -38,6 +39,7 @@ COMMANDS["methods"] = ["methods.py"]
 COMMANDS["noise"] = ["noise.py"]
 ALONE = (
     "commands",
+    "questions",
     "populations",
     "scale",
     "many_servers",

@@ -22,6 +22,7 @@ SCRIPTS = {
     "kernels": tables.kernels,
     "startup": tables.startup,
     "commands": tables.commands,
+    "questions": tables.questions,
     "scaling": tables.scaling,
     "runs": tables.runs,
     "populations": tables.populations,

@@ -260,6 +260,14 @@ def commands(found: Found) -> str:
     )
 
 
+def questions(found: Found) -> str:
+    """Format the time of questions to controllers at the optimizer."""
+    return markdown(
+        ["a question and its answer", "us"],
+        [[row["of"], spread(row, "us", figure)] for row in found["rows"]],
+    )
+
+
 def mib(megabytes: float) -> float:
     """Convert MB to MiB."""
     return megabytes * 1e6 / 2**20
