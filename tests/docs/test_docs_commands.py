@@ -152,7 +152,7 @@ zswarm-ss() { serve zswarm-ss "$@"; }
 zswarm-router() { serve zswarm-router "$@"; }
 zswarm-ot() { case "$1" in dashboard) serve zswarm-ot "$@";; *) command zswarm-ot "$@";; esac; }
 pip() {  # what it would do with a package that has no more than a module, without asking an index
-    test "$*" = "install -e ."
+    case "$*" in "install -e ."|"install -e . pytest");; *) false;; esac
     python "$STEPS/install.py"
     export PYTHONPATH="$PWD:$PYTHONPATH"
 }

@@ -127,9 +127,7 @@ def test_champions_of_a_study_are_compared_by_a_metric(study: Path) -> None:
     means = trials.groupby("run")["fitness"].mean()
     told_of = zswarm.tidy(study).set_index("run")["evaluated_fitness"]
     assert told_of.to_dict() == pytest.approx(means.to_dict())
-    with pytest.raises(
-        ConfigError, match="--measure wings: unknown; known are: search, "
-    ):
+    with pytest.raises(ConfigError, match="measure wings: unknown; known are: search, "):
         typed("compare", str(study), "--measure", "wings")
 
 

@@ -69,7 +69,7 @@ def test_a_new_simulator_is_the_example_with_another_name(
     said, page = capsys.readouterr().out, (made / "README.md").read_text()
     assert "cd lost-robots" in said
     for step in (
-        "pip install -e .",
+        "pip install -e . pytest",
         "python -m pytest",
         "zswarm-ot check lost-robots.toml",
         "zswarm-ot run lost-robots.toml",

@@ -145,7 +145,7 @@ def _value(run: Run, name: str) -> float:
     found = load(run)
     if name != FITNESS and name not in found.metrics:
         known = ", ".join([SEARCH, HELD_OUT, FITNESS, *found.metrics])
-        raise ConfigError(f"--measure {clean(name)}: unknown; known are: {known}")
+        raise ConfigError(f"measure {clean(name)}: unknown; known are: {known}")
     value = found.value(name)
     return -math.inf if math.isnan(value) else value
 

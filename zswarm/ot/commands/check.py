@@ -182,7 +182,8 @@ def lines(e: "Explanation", complete: Experiment) -> Iterator[tuple[str, str]]:
         "experiment",
         f"{e.experiment}: {plural(e.generations, 'generation')}, seed {complete.seed}",
     )
-    yield "problem", f"{e.simulator}: {e.about}" if e.about else e.simulator
+    about = e.about.replace("``", "")
+    yield "problem", f"{e.simulator}: {about}" if about else e.simulator
     if e.ranges:
         varied = ", ".join(f"{name} {words}" for name, words in e.ranges.items())
         yield "ranges", f"{varied}: drawn for each trial from its seed"

@@ -47,7 +47,7 @@ def simulator(name: str, compiled: bool) -> None:
         for file, text in files.items():
             folder.joinpath(file).write_text(text, encoding="utf-8")
     tables.line(f"{folder}: a simulator that can be evolved; change {module_of(name)}.py")
-    steps = [f"cd {shlex.quote(name)}", "pip install -e .", "python -m pytest"]
+    steps = [f"cd {shlex.quote(name)}", "pip install -e . pytest", "python -m pytest"]
     steps += [f"zswarm-ot {verb} {name}.toml" for verb in ("check", "run")]
     steps.append(f"zswarm-ot replay runs/{name}")
     tables.line("next:  " + "\n       ".join(steps))
