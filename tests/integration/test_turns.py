@@ -35,7 +35,7 @@ kind = "hebbian"
 kind = "nnga"
 population = 10
 """
-FEW_AGENTS = {"emergency-exit": "{agents = 4}"}
+SMALL = {"emergency-exit": "{agents = 4}", "minisim": "{steps = 40, robots = 3}"}
 COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 ASKED = '--set=cluster.controller="optimizer"'
 EACH_AGENT = '--set=cluster.messages="agent"'
@@ -49,7 +49,7 @@ def play(
         EXPERIMENT.format(
             simulator=simulator,
             trials=trials,
-            settings=FEW_AGENTS.get(simulator, "{}"),
+            settings=SMALL.get(simulator, "{}"),
         )
     )
     return Optimizer(
