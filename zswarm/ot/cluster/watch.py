@@ -43,9 +43,9 @@ class Watch(msgspec.Struct, eq=False):
     _begun: float = msgspec.field(default_factory=time.monotonic)
     _met: bool = False  # a server of the network
     _ever_served: bool = False
-    # Or when the workload began, as of the next one.
+    # When servers computed last, or the workload began.
     _served_at: float = msgspec.field(default_factory=time.monotonic)
-    # When an outcome was counted, or servers began to compute.
+    # When an outcome was counted last, servers began to compute, or the workload began.
     _heard_at: float = msgspec.field(default_factory=time.monotonic)
     _served: bool = False
     _said: str = ""
