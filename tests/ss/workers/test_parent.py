@@ -443,7 +443,7 @@ def test_answers_that_do_not_fit_into_the_pipe_wait(
 @pytest.mark.parametrize(
     ("stray", "words"),
     [
-        (b"s", "b's'... is not the beginning of a message"),
+        (b"stray", "b'stray'... is not the beginning of a message"),
         (bytes(300_000), "is not the beginning of a message"),
     ],
 )
