@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from tests.robots.controllers import controller
-from zswarm.controller import MOST, load_controller
+from zswarm.champion.controller import MOST, load_controller
 from zswarm.errors import ConfigError
 
 

@@ -18,7 +18,8 @@ __version__ = VERSION
 
 if TYPE_CHECKING:
     from zswarm.api import connect, load, problem, read, resume, run, start, study
-    from zswarm.controller import Controller, Driver, HeldOut, Tracked
+    from zswarm.champion.controller import Controller, Driver
+    from zswarm.champion.held_out import HeldOut, Tracked
     from zswarm.errors import (
         ConfigError,
         EvaluationError,
@@ -71,19 +72,19 @@ _HOME = {
     "CandidateOutcomes": "ot.evaluator",
     "Compared": "results",
     "Connection": "ot.cluster.connection",
-    "Controller": "controller",
-    "Driver": "controller",
+    "Controller": "champion.controller",
+    "Driver": "champion.controller",
     "Evolution": "ot.evolution",
     "Experiment": "experiment",
     "Generation": "ot.logger",
-    "HeldOut": "controller",
+    "HeldOut": "champion.held_out",
     "Logger": "ot.logger",
     "Note": "ot.notes",
     "Problem": "ot.problem",
     "Result": "ot.logger",
     "Run": "ot.record.reader",
     "Started": "ot.logger",
-    "Tracked": "controller",
+    "Tracked": "champion.held_out",
     "compare": "results",
     "drawn": "sims.randomized",
     "plot": "results",

@@ -21,9 +21,8 @@ from zswarm.ot.embedding import Source
 from zswarm.ot.evolution import Evolution
 from zswarm.ot.logger import Logger
 from zswarm.ot.problem import Problem
-from zswarm.ot.record.folder import DATABASE, load_experiment
+from zswarm.ot.record.folder import DATABASE, folders_below, load_experiment
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import folders_below
 
 Folder = str | os.PathLike[str]
 

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.ot.problem import Problem
 from zswarm.ot.workload import Workload
 from zswarm.robots.c import c99

@@ -12,7 +12,8 @@ import numpy as np
 
 from tests.ot.record.sealing import reseal
 from zswarm import experiment
-from zswarm.controller import Controller, HeldOut, Tracked
+from zswarm.champion.controller import Controller
+from zswarm.champion.held_out import HeldOut, Tracked
 from zswarm.ot.record.schema import SCHEMA_VERSION
 from zswarm.ot.record.writer import Record
 

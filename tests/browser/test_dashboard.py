@@ -14,7 +14,7 @@ from playwright.sync_api import Browser, Page, expect
 from tests.browser.conftest import Dashboard, Watched
 from tests.browser.records import BEGUN, assess, from_the_future, grow, write
 from tests.ot.record.sealing import reseal
-from zswarm.controller import HeldOut, Tracked
+from zswarm.champion.held_out import HeldOut, Tracked
 from zswarm.ot.record import annotations
 from zswarm.ot.record import control_file as control
 from zswarm.ot.record.folder import lock_folder

@@ -14,8 +14,8 @@ import pytest
 
 from tests.repository import REPOSITORY
 from zswarm import experiment, router
+from zswarm.champion.controller import Controller
 from zswarm.config import sections, settings_docs
-from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.ot import cli as ot
 from zswarm.ot.commands import new

@@ -10,7 +10,7 @@ from tests.integration import evacuation
 from tests.integration.programs import Optimizer, wait_until
 from tests.promise.promise import check_run
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import list_runs
+from zswarm.ot.record.summary import list_runs
 
 pytestmark = pytest.mark.programs
 

@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 
 from zswarm import experiment
+from zswarm.champion.controller import Controller
 from zswarm.config.sections import PartConfig, StopConfig
-from zswarm.controller import Controller
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note
 from zswarm.ot.record.history_hash import History

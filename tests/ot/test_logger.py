@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from zswarm import experiment
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.ot import logger as loggers
 from zswarm.ot.logger import Generation, InBackground, Logger, Loggers, Result, Started
 from zswarm.ot.notes import Note

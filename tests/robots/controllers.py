@@ -5,7 +5,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.kernels.random import Stream
 from zswarm.plugins import registry as plugins
 

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from zswarm import evaluate
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.kernels.random import Stream
 from zswarm.robots.package import Files
 from zswarm.sims.simulator import RobotInterface

@@ -18,7 +18,7 @@ from tests.evaluated_record import played
 from tests.repository import REPOSITORY
 from tests.robots.controllers import controller
 from zswarm import experiment
-from zswarm.controller import CHAMPION, load_controller
+from zswarm.champion.controller import CHAMPION, load_controller
 from zswarm.errors import ConfigError
 from zswarm.ot import cli
 from zswarm.ot.problem import Problem

@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 
 from tests.robots.controllers import controller
 from tests.robots.packed import evolved, write
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.robots import targets
 from zswarm.robots.c.c_types import folded
 from zswarm.robots.c.quoting import Code

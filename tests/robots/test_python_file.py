@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.robots.controllers import KINDS, controller, named, observed
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.robots.c import kernel_source
 from zswarm.robots.python_file import python

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 from msgspec import structs
 
-from zswarm.controller import Controller, HeldOut
+from zswarm.champion.controller import Controller
+from zswarm.champion.held_out import HeldOut
 from zswarm.experiment import Experiment
 from zswarm.ot.notes import Note
 

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from zswarm import evaluate
+from zswarm.champion.controller import Controller
 from zswarm.config.decode import convert
-from zswarm.controller import Controller
 from zswarm.errors import ConfigError, RemoteProtocolError
 from zswarm.experiment import Experiment
 from zswarm.kernels.random import Stream, derive_seed

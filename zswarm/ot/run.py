@@ -8,9 +8,9 @@ from contextlib import AbstractContextManager
 import msgspec
 from msgspec import structs
 
+from zswarm.champion.held_out import HeldOut
 from zswarm.config.decode import to_json
 from zswarm.config.sections import StopConfig
-from zswarm.controller import HeldOut
 from zswarm.ot.assessment import amount, contest
 from zswarm.ot.assessment.contest import Contest
 from zswarm.ot.assessment.seen_seeds import SeenSeeds

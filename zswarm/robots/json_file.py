@@ -5,8 +5,8 @@ import itertools
 from collections.abc import Iterator
 from typing import Any
 
+from zswarm.champion.controller import Controller
 from zswarm.config.decode import to_json
-from zswarm.controller import Controller
 from zswarm.nets.bulk import Bulk
 from zswarm.nets.representation import Representation
 from zswarm.nets.vector import VectorRepresentation

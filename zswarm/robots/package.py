@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from zswarm import evaluate
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.robots import python_file, scan_checks
 from zswarm.robots.c import c99, kernel_source, translate

@@ -6,7 +6,7 @@ It decides the bits of evolution: the source of the functions is the same, and n
 
 import numpy as np
 
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.robots.c import kernel_source
 from zswarm.robots.c.kernel_function import plain
 from zswarm.robots.c.quoting import Code, python_literal

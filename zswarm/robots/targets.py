@@ -6,8 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from zswarm.champion.controller import Controller
 from zswarm.config.suggest import nearest
-from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.robots.c.c_types import folded
 

@@ -11,14 +11,14 @@ from click.testing import CliRunner
 
 import zswarm
 from zswarm import experiment
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.ot.analysis import curves
 from zswarm.ot.build import build
 from zswarm.ot.cli import command
 from zswarm.ot.display.progress import summary
 from zswarm.ot.logger import Result
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import list_runs
+from zswarm.ot.record.summary import list_runs
 from zswarm.ot.record.writer import Record
 from zswarm.ot.replay import held_out
 from zswarm.ot.report import report

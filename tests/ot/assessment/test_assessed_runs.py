@@ -11,7 +11,7 @@ import pytest
 from tests.ot.cluster.fake_connection import FakeConnection, result
 from tests.repository import REPOSITORY
 from zswarm import experiment
-from zswarm.controller import load_controller
+from zswarm.champion.controller import load_controller
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import derive_seed
 from zswarm.ot import run

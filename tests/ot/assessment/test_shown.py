@@ -12,7 +12,8 @@ from click.testing import CliRunner
 import zswarm
 from tests.ot.assessment.test_assessed_runs import Noisy, evolved, loaded
 from tests.ot.cluster.fake_connection import result
-from zswarm.controller import HeldOut, load_controller
+from zswarm.champion.controller import load_controller
+from zswarm.champion.held_out import HeldOut
 from zswarm.ot import cli, run
 from zswarm.ot.analysis import curves, figures
 from zswarm.ot.build import build

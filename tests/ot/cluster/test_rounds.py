@@ -11,8 +11,8 @@ import pytest
 
 from tests.ot.cluster.fake_connection import FakeConnection, result
 from zswarm import experiment
+from zswarm.champion.controller import Controller, load_controller
 from zswarm.config.sections import PartConfig
-from zswarm.controller import Controller, load_controller
 from zswarm.errors import ConfigError, Stopped
 from zswarm.ot import run
 from zswarm.ot.build import build

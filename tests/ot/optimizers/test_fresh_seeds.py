@@ -10,14 +10,14 @@ import pytest
 from tests.ot.assessment.test_assessed_runs import Noisy
 from tests.ot.cluster.fake_connection import result
 from zswarm import experiment
-from zswarm.controller import load_controller
+from zswarm.champion.controller import load_controller
 from zswarm.ot import run
 from zswarm.ot.assessment.seen_seeds import SeenSeeds
 from zswarm.ot.build import build
 from zswarm.ot.logger import Logger
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import summary
+from zswarm.ot.record.summary import summary
 from zswarm.ot.record.writer import Record
 from zswarm.plugins import registry
 

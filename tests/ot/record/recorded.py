@@ -11,7 +11,7 @@ import pytest
 
 from tests.ot.record.sealing import reseal
 from zswarm import experiment
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note

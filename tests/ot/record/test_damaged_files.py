@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from zswarm import experiment
-from zswarm.controller import Controller, load_controller
+from zswarm.champion.controller import Controller, load_controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 

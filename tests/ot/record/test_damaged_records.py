@@ -23,7 +23,7 @@ from tests.ot.record.recorded import (
 )
 from zswarm.errors import ConfigError
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import list_runs
+from zswarm.ot.record.summary import list_runs
 from zswarm.ot.record.writer import Record
 
 

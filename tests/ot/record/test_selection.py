@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from zswarm import evaluate
-from zswarm.controller import CHAMPION, Controller, load_controller
+from zswarm.champion.controller import CHAMPION, Controller, load_controller
 from zswarm.kernels.random import Stream
 from zswarm.ot.replay import held_out, trace
 from zswarm.plugins import registry as plugins

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from zswarm import experiment
-from zswarm.controller import Controller, load_controller
+from zswarm.champion.controller import Controller, load_controller
 from zswarm.errors import ConfigError
 from zswarm.ot.cluster.events import Counted
 from zswarm.ot.notes import Note

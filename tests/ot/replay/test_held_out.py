@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.ot.invented_record import written
-from zswarm.controller import load_controller
+from zswarm.champion.controller import load_controller
 from zswarm.errors import ConfigError
 from zswarm.ot.cli import command
 from zswarm.ot.record.reader import Run

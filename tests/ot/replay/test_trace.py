@@ -15,7 +15,7 @@ import pytest
 from tests.evaluated_record import SHORT, played
 from tests.ot.record.sealing import reseal
 from zswarm import evaluate
-from zswarm.controller import CHAMPION, Controller
+from zswarm.champion.controller import CHAMPION, Controller
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import Stream
 from zswarm.ot.record.reader import Run

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.ot.invented_record import written
-from zswarm.controller import HeldOut
+from zswarm.champion.held_out import HeldOut
 from zswarm.ot.analysis import compared, grouping, measure
 from zswarm.ot.analysis.measure import FITNESS, HELD_OUT, SEARCH, Evaluated
 from zswarm.ot.record.reader import Run

@@ -14,7 +14,7 @@ import zswarm
 from tests.ot.invented_record import EXPERIMENT, written
 from tests.ot.record.sealing import reseal
 from zswarm import experiment
-from zswarm.controller import CHAMPION, load_controller
+from zswarm.champion.controller import CHAMPION, load_controller
 from zswarm.ot import cli
 from zswarm.ot.notes import Note
 from zswarm.ot.record.reader import Run

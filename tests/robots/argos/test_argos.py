@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from zswarm.controller import Controller, load_controller
+from zswarm.champion.controller import Controller, load_controller
 from zswarm.errors import ConfigError
 from zswarm.kernels.jit import interpreted
 from zswarm.kernels.random import Stream

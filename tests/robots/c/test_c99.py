@@ -15,7 +15,7 @@ import pytest
 from tests.docs.documents import REPOSITORY
 from tests.robots.c.compiled import STRICT, decisions, library, require
 from tests.robots.controllers import KINDS, controller, named, observed
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.plugins import registry as plugins
 from zswarm.robots.c.c99 import pair

@@ -9,7 +9,7 @@ import pytest
 
 from tests.robots.c.compiled import STRICT, require
 from tests.robots.controllers import KINDS, controller, observed
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.plugins import registry as plugins
 from zswarm.robots.c.c99 import GUARDS, pair
 

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from tests.robots.controllers import KINDS, controller, named, observed
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.ot import cli
 from zswarm.robots.onnx.file import model

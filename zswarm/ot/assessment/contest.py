@@ -6,7 +6,7 @@ from typing import Self
 
 import numpy as np
 
-from zswarm.controller import HeldOut
+from zswarm.champion.held_out import HeldOut
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import derive_seed
 from zswarm.ot.assessment.amount import budget_of

@@ -4,7 +4,7 @@ from typing import Self
 
 import numpy as np
 
-from zswarm.controller import HeldOut, Tracked
+from zswarm.champion.held_out import HeldOut, Tracked
 from zswarm.experiment import Experiment
 from zswarm.kernels.random import derive_seed
 from zswarm.ot.assessment.amount import TRACKED

@@ -14,7 +14,7 @@ from zswarm.system.format import plural
 from zswarm.system.text import clean
 
 if TYPE_CHECKING:
-    from zswarm.controller import Controller
+    from zswarm.champion.controller import Controller
     from zswarm.ot.replay.held_out import HeldOutResult
 
 MENU = ("Results", 3)
@@ -78,7 +78,7 @@ def command(
       zswarm-ot evaluate runs/minisim-duel --against runs/minisim-duel-2
       zswarm-ot evaluate runs/study --trials 200
     """
-    from zswarm.controller import load_controller
+    from zswarm.champion.controller import load_controller
     from zswarm.ot.study.study import is_study
 
     options.check_stdout(csv, as_json=as_json)

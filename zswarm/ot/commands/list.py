@@ -33,7 +33,7 @@ def command(folder: Path, tags: tuple[str, ...], as_json: bool) -> None:
     representations, optimizers and rankings; plug-ins with their settings and defaults.
     "zswarm-ot describe NAME" explains a part, "zswarm-ot check NAME" an example.
     """
-    from zswarm.ot.record.run_index import list_runs
+    from zswarm.ot.record.summary import list_runs
 
     # The default does not exist before the first run.
     if folder != suggestions.RUNS and not folder.is_dir():

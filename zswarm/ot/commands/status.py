@@ -44,7 +44,7 @@ def command(folder: Path, as_json: bool) -> None:
       zswarm-ot status
       zswarm-ot status runs/stadium
     """
-    from zswarm.ot.record.run_index import folders_below
+    from zswarm.ot.record.folder import folders_below
 
     # The default does not exist before the first run.
     if folder != suggestions.RUNS and not folder.is_dir():

@@ -8,8 +8,8 @@ import msgspec
 import numpy as np
 
 from zswarm import experiment
+from zswarm.champion.controller import Controller
 from zswarm.config.decode import convert, to_json
-from zswarm.controller import Controller
 from zswarm.errors import ConfigError, UnknownPlugin
 from zswarm.experiment import Experiment
 from zswarm.ot.analysis.caveats import caveats

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
+from zswarm.ot.record.folder import folders_below
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import folders_below, stamp, status, summary
 from zswarm.ot.record.stopping import expected_generations
+from zswarm.ot.record.summary import stamp, status, summary
 from zswarm.system.format import mean
 from zswarm.system.text import clean
 

@@ -17,8 +17,8 @@ from zswarm.ot.dashboard.servers import ServerTable
 from zswarm.ot.notes import RunEvent
 from zswarm.ot.record import control_file, stopping
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import stamp, status
 from zswarm.ot.record.schema import ASSESSMENT
+from zswarm.ot.record.summary import stamp, status
 from zswarm.system.format import mean as per_trial
 from zswarm.system.text import clean
 

@@ -4,7 +4,7 @@ import sys
 import time
 from typing import Any
 
-from zswarm.controller import HeldOut
+from zswarm.champion.held_out import HeldOut
 from zswarm.ot.display.tables import echo, print_json, wrapped
 from zswarm.ot.logger import Generation, Logger, Result, Started
 from zswarm.system.format import duration, per_trial, plural, with_trials

@@ -6,12 +6,15 @@ result is shown.
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from zswarm.ot.notes import RunEvent
-from zswarm.ot.record.reader import Run
 from zswarm.system.text import clean
+
+if TYPE_CHECKING:
+    from zswarm.ot.record.reader import Run
 
 TEXTS = f"SELECT text FROM events WHERE event = '{RunEvent.BEGAN}' ORDER BY rowid"  # noqa: S608
 
@@ -40,7 +43,7 @@ class Span(msgspec.Struct):
     epoch: Epoch
 
 
-def epochs(run: Run) -> list[Epoch]:
+def epochs(run: "Run") -> list[Epoch]:
     """Return the epochs of a run."""
     return decoded(text for (text,) in run.rows(TEXTS, tuple[str | None]))
 

@@ -3,6 +3,7 @@
 import contextlib
 import fcntl
 import os
+import re
 import time
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from zswarm.system.text import clean
 
 DATABASE, EXPERIMENT = "run.sqlite", "experiment.toml"
 RUNS = Path("runs")  # the default of --out
+DEPTH = 2  # of folders below one: runs/STUDY/RUN
 LOCK_TRIES, LOCK_PAUSE_S = 20, 0.005  # `is_running` holds the lock for an instant
 
 
@@ -41,6 +43,24 @@ def no_run(folder: Path) -> str:
     elif os.path.isdir(folder) and (inside := sorted(folder.glob(f"*/{DATABASE}"))):
         hint = f", but a folder of runs, such as {clean(str(inside[0].parent))}"
     return f"{clean(str(folder))}: no run{hint}; expected a folder"
+
+
+def folders_below(path: Path) -> list[Path]:
+    """Return the folders with a record, maybe damaged: the path, or those two levels below it."""
+
+    def natural_order(folder: Path) -> list[list[tuple[bool, int, str]]]:
+        return [_natural(part) for part in folder.relative_to(path).parts]
+
+    try:
+        if (path / DATABASE).is_file():
+            return [path]
+        patterns = ["*/" * depth + DATABASE for depth in range(1, DEPTH + 1)]
+        files = [
+            file for pattern in patterns for file in path.glob(pattern) if file.is_file()
+        ]
+    except OSError:  # not readable, or the name is too long
+        return []
+    return sorted({file.parent for file in files}, key=natural_order)
 
 
 def new_folder(parent: Path, name: str) -> Path:
@@ -104,3 +124,12 @@ def is_running(folder: Path) -> bool:
     finally:
         os.close(lock)
     return False
+
+
+def _natural(name: str) -> list[tuple[bool, int, str]]:
+    """Return a key that sorts ``seed-2`` before ``seed-10``."""
+    return [
+        (part.isdecimal(), int(part) if part.isdecimal() else 0, part)
+        for part in re.split(r"(\d+)", name)
+        if part
+    ]

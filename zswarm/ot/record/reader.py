@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import msgspec
 
 from zswarm import experiment
+from zswarm.champion.controller import CHAMPION, Controller, load_controller
+from zswarm.champion.held_out import HeldOut, Tracked
 from zswarm.config.sections import ABSOLUTE
-from zswarm.controller import CHAMPION, Controller, HeldOut, Tracked, load_controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.record import frames, verify
@@ -59,7 +60,7 @@ class Run:
             self._meta = verify.read_meta(database, folder / DATABASE)
         self.meta = {
             clean(key): clean(value)
-            if isinstance(value, str) and not _plain(value)
+            if isinstance(value, str) and not (value.isascii() and value.isprintable())
             else value
             for key, value in self._meta.items()
         }
@@ -389,10 +390,6 @@ def cleaned(controller: Controller, *fields: str) -> Controller:
     """Return a controller with the texts of these fields safe to show."""
     texts = {field: clean_all(getattr(controller, field)) for field in fields}
     return msgspec.structs.replace(controller, **texts)
-
-
-def _plain(text: str) -> bool:
-    return text.isascii() and text.isprintable()
 
 
 def _named(names: str, rows: Iterable[Sequence[Any]]) -> list[Row]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import msgspec
 
-from zswarm.controller import CHAMPION, Controller, load_controller
+from zswarm.champion.controller import CHAMPION, Controller, load_controller
 from zswarm.errors import ConfigError
 from zswarm.ot.record.history_hash import digest
 from zswarm.ot.record.reader import NAMES, Row, Run, cleaned

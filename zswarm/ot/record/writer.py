@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 
 from zswarm import experiment
-from zswarm.controller import CHAMPION, Controller
+from zswarm.champion.controller import CHAMPION, Controller
 from zswarm.errors import ConfigError
 from zswarm.experiment import Experiment
 from zswarm.ot.cluster.events import Counted

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from zswarm import evaluate
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.kernels.random import derive_seed
 from zswarm.ot.record.reader import Run

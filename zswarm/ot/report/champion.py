@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from zswarm import evaluate
+from zswarm.champion.controller import Controller
 from zswarm.config import ranges
-from zswarm.controller import Controller
 from zswarm.errors import ConfigError, EvaluationError
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.nets.representation import Representation

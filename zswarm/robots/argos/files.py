@@ -4,8 +4,8 @@ from string import ascii_letters, digits
 
 import numpy as np
 
+from zswarm.champion.controller import Controller
 from zswarm.config.decode import convert
-from zswarm.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.nets.chocolate import Chocolate, decoded
 from zswarm.nets.feed_forward import FeedForward

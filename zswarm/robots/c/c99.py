@@ -11,7 +11,7 @@ import textwrap
 import msgspec
 import numpy as np
 
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.errors import UnknownPlugin
 from zswarm.plugins import registry as plugins
 from zswarm.plugins.used_settings import used_settings

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.kernels.random import Stream, derive_seed
 
 STEPS = 16

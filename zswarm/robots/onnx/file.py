@@ -8,7 +8,7 @@ import json
 
 import numpy as np
 
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.robots.c.reference_steps import check_steps, sha256
 from zswarm.robots.onnx import networks
 from zswarm.robots.onnx.graph import OnnxGraph, OnnxValue

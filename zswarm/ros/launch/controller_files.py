@@ -5,7 +5,7 @@ from pathlib import PurePosixPath
 
 import numpy as np
 
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.errors import ConfigError
 from zswarm.robots.c.c99 import pair
 from zswarm.robots.json_file import as_json

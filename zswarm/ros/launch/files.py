@@ -16,8 +16,8 @@ from typing import Any, ClassVar
 import msgspec
 import numpy as np
 
+from zswarm.champion.controller import Controller
 from zswarm.config.decode import convert
-from zswarm.controller import Controller
 from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
 from zswarm.kernels.portable import PI
 from zswarm.kernels.random import Stream

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from zswarm import evaluate
-from zswarm.controller import Controller
+from zswarm.champion.controller import Controller
 from zswarm.experiment import Experiment
 from zswarm.ot.problem import Problem
 from zswarm.ot.record.writer import Record
