@@ -19,19 +19,22 @@ from zswarm.ot.record.selection import controller
 from zswarm.ot.record.writer import Record
 
 GENERATIONS = 5
+LONG = 40  # hidden neurons of a genome that the optimizer's state refers to, not repeats
 
 
-def loaded(genomes: str) -> experiment.Experiment:
+def loaded(genomes: str, hidden: int = 1) -> experiment.Experiment:
     overrides = [f"generations={GENERATIONS}", "optimizer.population=8"]
-    more = ["representation.hidden=1", f"record.genomes={genomes}"]
+    more = [f"representation.hidden={hidden}", f"record.genomes={genomes}"]
     more.append("assessment.candidates=3")
     found = experiment.load(experiment.find("stadium"), [*overrides, *more])
     return experiment.complete(found, "test")
 
 
-def evolved(out: Path, genomes: str, generations: int = GENERATIONS) -> Path:
+def evolved(
+    out: Path, genomes: str, generations: int = GENERATIONS, hidden: int = 1
+) -> Path:
     """Evolve some generations, and return the folder."""
-    complete = loaded(genomes)
+    complete = loaded(genomes, hidden)
     parts = build(complete)
     metrics = parts.problem.simulator.metrics
     with Record.create(out, complete, "0" * 32, metrics) as record:
@@ -57,12 +60,15 @@ def kept(folder: Path) -> list[set[int]]:
     ]
 
 
-@pytest.mark.parametrize(("genomes", "whole"), [("best", set()), ("2", {0, 2, 4})])
+@pytest.mark.parametrize(
+    ("genomes", "whole", "hidden"),
+    [("best", set(), 1), ("best", set(), LONG), ("2", {0, 2, 4}, 1)],
+)
 def test_only_some_genomes_are_kept_and_the_history_is_the_same(
-    tmp_path: Path, genomes: str, whole: set[int]
+    tmp_path: Path, genomes: str, whole: set[int], hidden: int
 ) -> None:
-    everything = evolved(tmp_path / "all", "all")
-    folder = evolved(tmp_path / "some", genomes)
+    everything = evolved(tmp_path / "all", "all", hidden=hidden)
+    folder = evolved(tmp_path / "some", genomes, hidden=hidden)
     assert Run(folder).history_hash == Run(everything).history_hash
     assert [row["best"] for row in Run(folder).history()] == [
         row["best"] for row in Run(everything).history()
@@ -72,6 +78,8 @@ def test_only_some_genomes_are_kept_and_the_history_is_the_same(
         record.resumed()
         needed = set(record._known.values()) | record._raced.places()
         assert len(record._raced.places()) == 3
+        of_the_state = {generation for generation, _ in record._known.values()}
+        assert of_the_state <= whole if hidden == 1 else of_the_state
     for number, there in enumerate(kept(folder)):
         rows = Run(everything).candidates(number)
         best = max(rows, key=lambda row: (row["fitness"], -row["candidate"]))["candidate"]
@@ -81,9 +89,12 @@ def test_only_some_genomes_are_kept_and_the_history_is_the_same(
     assert len(kept(folder)[1]) < len(kept(everything)[1])
 
 
-def test_a_thinned_run_resumes_and_goes_back_to_the_same_history(tmp_path: Path) -> None:
-    history = Run(evolved(tmp_path / "all", "all")).history_hash
-    folder = evolved(tmp_path / "stopped", "best", 3)
+@pytest.mark.parametrize("hidden", [1, LONG])
+def test_a_thinned_run_resumes_and_goes_back_to_the_same_history(
+    tmp_path: Path, hidden: int
+) -> None:
+    history = Run(evolved(tmp_path / "all", "all", hidden=hidden)).history_hash
+    folder = evolved(tmp_path / "stopped", "best", 3, hidden)
     assert resumed(folder) == history
     go_back(folder, 2)
     assert resumed(folder) == history

@@ -47,6 +47,7 @@ from zswarm.ot.workload import Workload
 from zswarm.system.files import write_whole
 
 LARGE = 16 << 20  # bytes of a generation's genomes
+SHORT = 4096  # bytes of a genome that the state repeats rather than have it kept, then dropped
 
 
 class Record(Recorded):
@@ -313,7 +314,12 @@ class Record(Recorded):
 
     def pack(self, generation: int, genomes: Sequence[bytes], state: Any) -> PackedState:
         """Pack the optimizer's state after a generation, for ``finish``."""
-        places = {genome: (generation, at) for at, genome in enumerate(genomes)}
+        dropped = self._drops(generation)
+        places = {
+            genome: (generation, at)
+            for at, genome in enumerate(genomes)
+            if not dropped or len(genome) > SHORT
+        }
         return pack(state, self._known | places)
 
     def _candidates(
