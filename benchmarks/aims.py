@@ -115,19 +115,24 @@ def of_scale(found: Found | None) -> Iterator[Aim]:
     """Yield the targets with many simulated servers."""
     rows = found["rows"] if found else []
     slots = {
-        row["slots"]: row for row in rows if "slots" in row and row.get("trial_s") == 1.0
+        (row["slots"], row["routed"]): row for row in rows if row.get("trial_s") == 1.0
     }
-    servers = {row["servers"]: row for row in rows if "ready_s" in row}
-    used = slots.get(4096, {}).get("efficiency")
-    what = "efficiency, 4,096 simulated slots, trials of 1 s"
-    yield Aim("scale", what, 0.9, True, used, share)
-    most = max((row["optimizer_us"] for row in slots.values()), default=None)
-    what = "64 to 4,096 slots, trials of 1 s: us of the optimizer per evaluation"
-    yield Aim("scale-cpu", what, 120, False, most)
-    for count, wanted in ((256, 1.0), (1024, 2.0)):
-        ready = servers.get(count, {}).get("ready_s")
-        what = f"discovery and handshake, {count:,} servers: s"
-        yield Aim(f"discovery-{count}", what, wanted, False, ready, "{:.2f}".format)
+    servers = {(row["servers"], row["routed"]): row for row in rows if "ready_s" in row}
+    for routed, key, by in ((False, "", ""), (True, "-routed", ", with a router")):
+        used = slots.get((4096, routed), {}).get("efficiency")
+        what = f"efficiency, 4,096 simulated slots, trials of 1 s{by}"
+        yield Aim(f"scale{key}", what, 0.9, True, used, share)
+        costs = [row["optimizer_us"] for (_, by_), row in slots.items() if by_ == routed]
+        few = "1,024" if routed else "64"
+        what = (
+            f"{few} to 4,096 slots, trials of 1 s{by}: us of the optimizer per evaluation"
+        )
+        yield Aim(f"scale-cpu{key}", what, 120, False, max(costs, default=None))
+        for count, wanted in ((256, 1.0), (1024, 2.0)):
+            ready = servers.get((count, routed), {}).get("ready_s")
+            what = f"discovery and handshake, {count:,} servers{by}: s"
+            aim = f"discovery-{count}{key}"
+            yield Aim(aim, what, wanted, False, ready, "{:.2f}".format)
     sent = [max(row["messages"].values()) for row in rows if row.get("servers") == 256]
     yield Aim(
         "messages",

@@ -332,6 +332,10 @@ def populations(found: Found) -> str:
 
 def scale(found: Found) -> str:
     """Format discovery, and the use of many slots."""
+
+    def routed(row: dict[str, Any]) -> str:
+        return ", with a router" if row["routed"] else ""
+
     servers = [row for row in found["rows"] if "ready_s" in row]
     slots = [row for row in found["rows"] if "efficiency" in row]
     return (
@@ -345,7 +349,7 @@ def scale(found: Found) -> str:
             ],
             [
                 [
-                    f"{row['servers']:,}",
+                    f"{row['servers']:,}{routed(row)}",
                     f"{row['ready_s']:.2f}",
                     f"{row['cpu_s']:.2f}",
                     f"{row['mb']:.0f}",
@@ -362,14 +366,15 @@ def scale(found: Found) -> str:
                 "slots",
                 "trial, s",
                 "efficiency",
-                "us of CPU time per evaluation: optimizer, servers",
+                "us of CPU time per evaluation: optimizer, servers, router",
             ],
             [
                 [
-                    f"{row['slots']:,}",
+                    f"{row['slots']:,}{routed(row)}",
                     f"{row['trial_s']:g}",
                     share(row["efficiency"]),
-                    f"{row['optimizer_us']:.0f}, {row['servers_us']:.0f}",
+                    f"{row['optimizer_us']:.0f}, {row['servers_us']:.0f}"
+                    + (f", {row['router_us']:.0f}" if row["routed"] else ""),
                 ]
                 for row in slots
             ],

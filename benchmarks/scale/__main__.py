@@ -7,7 +7,8 @@ Many servers share a process and its loop. The optimizer is the `Cluster` that `
 in a process of its own.
 
 Printed, as tables for docs/benchmarks.md: how long discovery and handshake take, how many messages,
-what both sides use; how much of the slots' time generations use; what is lost in tails, when slots
+what both sides use; the same with a router between optimizer and servers; how much of the slots'
+time generations use; what is lost in tails, when slots
 wait for the last trials of a generation, and what starting those twice would win. The charts go to
 benchmarks/scale.png.
 """
@@ -23,7 +24,7 @@ from scale.farm import running
 from scale.ideal import Schedule, schedule
 from scale.life import live
 from scale.pretended import Times, work
-from scale.report import Results, draw, print_tables, rows
+from scale.report import Fleet, Results, draw, print_tables, rows
 
 TAILS = {
     "all alike": Times(0.5),
@@ -36,22 +37,27 @@ TAILS = {
 
 # s of a trial, trials per slot, from and up to servers.
 LOADS = [(1.0, 10, 16, 1024), (0.1, 50, 16, 64), (4.0, 5, 256, 1024)]
+ROUTED = (256, 1024)  # servers, also with a router
 
 
 def measure(*, quick: bool) -> Results:
     """Measure all sizes."""
     results = Results({}, {}, {}, {})
-    for size in (16,) if quick else (16, 64, 256, 1024):
-        with running(size) as servers:
-            results.opened[size] = servers.mb
+    fleets = [Fleet(size) for size in ((16,) if quick else (16, 64, 256, 1024))]
+    fleets += [Fleet(size, routed=True) for size in ((16,) if quick else ROUTED)]
+    for fleet in fleets:
+        size = fleet.servers
+        with running(size, routed=fleet.routed) as servers:
+            results.opened[fleet] = servers.mb
             runs = [live(servers, Times(), 0) for _ in range(1 if quick else 3)]
-            results.found[size] = runs
-            for mean_s, per_slot, smallest, largest in LOADS[:1] if quick else LOADS:
+            results.found[fleet] = runs
+            loads = LOADS[:1] if quick or fleet.routed else LOADS
+            for mean_s, per_slot, smallest, largest in loads:
                 if smallest <= size <= largest:
                     run = live(servers, Times(mean_s), 1 if quick else 2, per_slot)
                     if run.uses:
-                        results.used[size, mean_s] = run
-            if size == (16 if quick else 64):
+                        results.used[fleet, mean_s] = run
+            if fleet == Fleet(16 if quick else 64):
                 for name, times in TAILS.items():
                     run = live(servers, times, 1 if quick else 3)
                     schedules = [

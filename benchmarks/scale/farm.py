@@ -7,13 +7,18 @@ import multiprocessing
 import os
 import secrets
 import select
+import socket
+import subprocess
+import sys
 import time
 from collections import Counter, deque
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 import msgspec
+import psutil
 import zenoh
 from usage import usage
 
@@ -21,11 +26,13 @@ from scale.pretended import CAPACITY, Times, draws, durations, salt, speed
 from zswarm import session
 from zswarm.protocol import codec, keys, messages
 from zswarm.ss.slots import events
+from zswarm.session import Reach
 from zswarm.ss.slots.table import SlotTable
 
 REALM = "scale"
 TICK_S = 1.0
 SERVERS_PER_PROCESS = 128
+LINK_S = 0.05  # between two looks whether all servers have a link to the router
 
 spawn = multiprocessing.get_context("spawn")
 
@@ -42,7 +49,7 @@ _kind = msgspec.msgpack.Decoder(Kind)
 class Server:
     """One of them, without a loop of its own."""
 
-    def __init__(self, index: int, endpoint: str, farm: "Farm") -> None:
+    def __init__(self, index: int, endpoint: str, reach: Reach, farm: "Farm") -> None:
         self.index = index
         self.id = keys.new_server_id(f"s{index}")
         self.queries: dict[int, zenoh.Query] = {}
@@ -64,9 +71,7 @@ class Server:
         self.slots = SlotTable(
             CAPACITY, offer, lambda _: "", lambda: secrets.token_bytes(16)
         )
-        self.session, _ = session.open_server(
-            [endpoint], session.Reach([], multicast=False)
-        )
+        self.session, _ = session.open_server([endpoint], reach)
         on_query = zenoh.handlers.Callback(
             lambda query: farm.put(self, query), indirect=False
         )
@@ -116,14 +121,18 @@ class Farm:
         with contextlib.suppress(BlockingIOError):
             os.write(self._woken, b"!")
 
-    def run(self, first: int, endpoints: list[str]) -> None:
+    def run(self, first: int, endpoints: list[str], reach: Reach) -> None:
         """Open the servers and serve until stopped."""
         before = usage(os.getpid()).rss_mb
         begin = time.monotonic()
         self.servers = [
-            Server(first + index, endpoint, self)
+            Server(first + index, endpoint, reach, self)
             for index, endpoint in enumerate(endpoints)
         ]
+        while reach.connect and not all(
+            server.session.info.routers_zid() for server in self.servers
+        ):
+            time.sleep(LINK_S)
         self.pipe.send((time.monotonic() - begin, usage(os.getpid()).rss_mb - before))
         poll = select.poll()
         poll.register(self._wake, select.POLLIN)
@@ -282,29 +291,69 @@ def prepared(
     return events.Prepared(slot, probe, 0.0, first=first, loaded=loaded)
 
 
-def farm(pipe: Connection, first: int, endpoints: list[str]) -> None:
+def farm(pipe: Connection, first: int, endpoints: list[str], reach: Reach) -> None:
     """Run a process of servers."""
     # A server of its own has a process of its own.
     os.environ["ZENOH_RUNTIME"] = "(tx: (worker_threads: 1))"
-    Farm(pipe).run(first, endpoints)
+    Farm(pipe).run(first, endpoints, reach)
+
+
+class Router:
+    """A ``zswarm-router`` that carries all messages."""
+
+    def __init__(self, host: str, port: int = 7466) -> None:
+        self.endpoint = f"tcp/{host}:{port}"
+        program = Path(sys.executable).with_name("zswarm-router")
+        self._process = subprocess.Popen(
+            [program, "--listen", self.endpoint, "--no-multicast"],
+            env={**os.environ, "ZSWARM_KEYS": "none"},
+            stderr=subprocess.DEVNULL,
+        )
+        while True:
+            with contextlib.suppress(OSError), socket.create_connection((host, port)):
+                return
+            time.sleep(LINK_S)
+
+    def cpu_s(self) -> float:
+        """Return the processor time that it used so far."""
+        user, system, *_ = psutil.Process(self._process.pid).cpu_times()
+        return float(user + system)
+
+    def close(self) -> None:
+        """End it."""
+        self._process.terminate()
+        self._process.wait()
 
 
 class Servers:
-    """Processes of servers."""
+    """Processes of servers.
 
-    def __init__(self, count: int) -> None:
+    Args:
+        routed: a router carries what they and the optimizer say; otherwise, they have links.
+
+    Attributes:
+        reach: how an optimizer reaches them.
+    """
+
+    def __init__(self, count: int, *, routed: bool = False) -> None:
         # Random, so that two benchmarks at a time do not meet.
         net = f"127.{secrets.randbelow(253) + 1}"
-        self.endpoints = [
-            f"tcp/{net}.{i // 128}.1:{20000 + i % 128}" for i in range(count)
-        ]
+        self.count = count
+        self.router = Router(f"{net}.200.1") if routed else None
+        endpoints = [f"tcp/{net}.{i // 128}.1:{20000 + i % 128}" for i in range(count)]
+        found = Reach(
+            [] if self.router is None else [self.router.endpoint], multicast=False
+        )
+        self.reach = Reach(
+            found.connect or endpoints, multicast=False, through_router=routed
+        )
         self.pipes: list[Connection] = []
         self.processes = []
         for first in range(0, count, SERVERS_PER_PROCESS):
             pipe, end = spawn.Pipe()
             process = spawn.Process(
                 target=farm,
-                args=(end, first, self.endpoints[first : first + SERVERS_PER_PROCESS]),
+                args=(end, first, endpoints[first : first + SERVERS_PER_PROCESS], found),
             )
             process.start()
             end.close()
@@ -330,12 +379,14 @@ class Servers:
             process.join(30.0)
             if process.is_alive():
                 process.kill()
+        if self.router is not None:
+            self.router.close()
 
 
 @contextlib.contextmanager
-def running(count: int) -> Iterator[Servers]:
-    """Start that many servers."""
-    servers = Servers(count)
+def running(count: int, *, routed: bool = False) -> Iterator[Servers]:
+    """Start that many servers, and end them afterwards; the rest as ``Servers``."""
+    servers = Servers(count, routed=routed)
     try:
         yield servers
     finally:

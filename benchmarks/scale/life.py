@@ -65,6 +65,7 @@ class Run(NamedTuple):
     rss_mb: float
     leave_s: float
     notes: dict[str, int]
+    router_s: float  # of processor time, in all; 0 without one
 
 
 def differ(dispute: object, _workload: object) -> NoReturn:
@@ -74,13 +75,14 @@ def differ(dispute: object, _workload: object) -> NoReturn:
 
 def optimizer(
     pipe: Connection,
-    endpoints: list[str],
+    servers: int,
+    reach: Reach,
     times: Times,
     generations: int,
     trials_per_slot: int,
 ) -> None:
     """Run the optimizer in this process and send its measurements."""
-    count = len(endpoints) * CAPACITY
+    count, wanted = servers * CAPACITY, servers
     terms = Terms(
         requirements=messages.Requirements(simulator="pretended", representation="none"),
         reserve=messages.Reserve(
@@ -101,11 +103,10 @@ def optimizer(
         time.process_time(),
         time.monotonic(),
     )
-    reach = Reach(endpoints, multicast=False)
     with Cluster(key, terms, reach=reach, arbitrate=differ) as cluster:
         leased = ready = time.monotonic()
         state = (0, 0)
-        while state != (len(endpoints), count) and time.monotonic() < min(
+        while state != (wanted, count) and time.monotonic() < min(
             ready + SETTLE_S, begin + DEADLINE_S
         ):
             if (now := (cluster.standing.leased, cluster.standing.slots)) != state:
@@ -162,14 +163,16 @@ def live(
     pipe, end = spawn.Pipe()
     process = spawn.Process(
         target=optimizer,
-        args=(end, servers.endpoints, times, generations, trials_per_slot),
+        args=(end, servers.count, servers.reach, times, generations, trials_per_slot),
     )
+    router = servers.router
+    before_s = router.cpu_s() if router is not None else 0.0
     process.start()
     end.close()
     told = pipe.recv()
     process.join()
-    reports = servers.ask("report")
-    count = len(servers.endpoints)
+    router_s = router.cpu_s() - before_s if router is not None else 0.0
+    reports, count = servers.ask("report"), servers.count
     when = [when for report in reports for when in report["when"]]
     begin = told["begin"]
     found = Found(
@@ -221,6 +224,7 @@ def live(
         told["rss_mb"],
         told["leave_s"],
         told["notes"],
+        router_s,
     )
     shares = ", ".join(f"{use.efficiency:.3f}" for use in uses)
     print(

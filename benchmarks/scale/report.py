@@ -15,12 +15,22 @@ from scale.pretended import CAPACITY
 GOAL_EFFICIENCY, GOAL_FOUND_S, GOAL_FOUND_SERVERS = 0.90, 1.0, 256
 
 
+class Fleet(NamedTuple):
+    """How many servers, and whether a router carries all messages."""
+
+    servers: int
+    routed: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.servers:,}{', router' if self.routed else ''}"
+
+
 class Results(NamedTuple):
     """All that was measured."""
 
-    opened: dict[int, float]  # MB per server, by number of servers
-    found: dict[int, list[Run]]
-    used: dict[tuple[int, float], Run]  # by number of servers and seconds of a trial
+    opened: dict[Fleet, float]  # MB per server
+    found: dict[Fleet, list[Run]]
+    used: dict[tuple[Fleet, float], Run]  # by servers and seconds of a trial
     tails: dict[str, tuple[Run, Schedule]]
 
 
@@ -67,8 +77,8 @@ def print_tables(results: Results) -> None:
         ],
         [
             [
-                f"{size:,}",
-                ", ".join(str(size - run.found.servers) for run in runs),
+                str(fleet),
+                ", ".join(str(fleet.servers - run.found.servers) for run in runs),
                 *(
                     f"{median(runs, what):.2f}"
                     for what in ("offered_s", "leased_s", "ready_s", "cpu_s")
@@ -78,9 +88,9 @@ def print_tables(results: Results) -> None:
                     for what in ("mb", "threads", "descriptors")
                 ),
                 f"{statistics.median(run.leave_s for run in runs):.2f}",
-                f"{results.opened[size]:.2f}",
+                f"{results.opened[fleet]:.2f}",
             ]
-            for size, runs in results.found.items()
+            for fleet, runs in results.found.items()
         ],
     )
     print(
@@ -93,13 +103,13 @@ def print_tables(results: Results) -> None:
         ["servers", *kinds],
         [
             [
-                f"{size:,}",
+                str(fleet),
                 *(
                     f"{statistics.mean(run.messages.get(kind, 0) for run in runs):.2f}"
                     for kind in kinds
                 ),
             ]
-            for size, runs in results.found.items()
+            for fleet, runs in results.found.items()
         ],
     )
     print(
@@ -122,7 +132,7 @@ def print_tables(results: Results) -> None:
         ],
         [
             [
-                f"{size * CAPACITY:,}",
+                str(Fleet(fleet.servers * CAPACITY, fleet.routed)),
                 f"{mean_s:g}",
                 f"{run.uses[0].evaluations:,}",
                 f"{mean(run, 'efficiency'):.3f}",
@@ -135,7 +145,7 @@ def print_tables(results: Results) -> None:
                 f"{run.kilobytes[0]:.0f}",
                 f"{run.rss_mb:.0f}",
             ]
-            for (size, mean_s), run in results.used.items()
+            for (fleet, mean_s), run in results.used.items()
         ],
     )
     print(
@@ -184,28 +194,33 @@ def rows(results: Results) -> list[dict[str, object]]:
     """Return the rows of docs/benchmarks.md: discovery, then use of slots."""
     found: list[dict[str, object]] = [
         {
-            "servers": size,
+            "servers": fleet.servers,
+            "routed": fleet.routed,
             "ready_s": median(runs, "ready_s"),
             "cpu_s": median(runs, "cpu_s"),
             "mb": median(runs, "mb"),
-            "never_found": max(size - run.found.servers for run in runs),
+            "never_found": max(fleet.servers - run.found.servers for run in runs),
             "messages": {
                 side: statistics.mean(handshake(run)[side] for run in runs)
                 for side in ("received", "sent")
             },
         }
-        for size, runs in results.found.items()
+        for fleet, runs in results.found.items()
     ]
-    for (size, mean_s), run in results.used.items():
+    for (fleet, mean_s), run in results.used.items():
         optimizer_us, servers_us = cpu(run)
         found.append(
             {
-                "slots": size * CAPACITY,
+                "slots": fleet.servers * CAPACITY,
+                "routed": fleet.routed,
                 "trial_s": mean_s,
                 "evaluations": run.uses[0].evaluations,
                 "efficiency": mean(run, "efficiency"),
                 "optimizer_us": optimizer_us,
                 "servers_us": servers_us,
+                "router_us": run.router_s
+                / sum(use.evaluations for use in run.uses)
+                * 1e6,
             }
         )
     return found
@@ -224,16 +239,18 @@ def draw(results: Results, file: Path) -> None:
     figure, ((found, use), (load, tails)) = plt.subplots(
         2, 2, figsize=(12, 9), layout="constrained"
     )
-    sizes = list(results.found)
-    for what, label in (
-        ("offered_s", "all have offered"),
-        ("leased_s", "all have given a lease"),
-        ("ready_s", "all slots ready"),
+    sizes = [fleet.servers for fleet in results.found if not fleet.routed]
+    for what, style, routed, label in (
+        ("offered_s", "o-", False, "all have offered"),
+        ("leased_s", "o-", False, "all have given a lease"),
+        ("ready_s", "o-", False, "all slots ready"),
+        ("ready_s", "s--", True, "all slots ready, with a router"),
     ):
+        fleets = [fleet for fleet in results.found if fleet.routed == routed]
         found.loglog(
-            sizes,
-            [median(results.found[size], what) for size in sizes],
-            "o-",
+            [fleet.servers for fleet in fleets],
+            [median(results.found[fleet], what) for fleet in fleets],
+            style,
             label=label,
         )
     found.plot(
@@ -249,18 +266,20 @@ def draw(results: Results, file: Path) -> None:
     found.set_xticks(sizes, [f"{size:,}" for size in sizes])
     found.minorticks_off()
 
-    for mean_s in dict.fromkeys(mean_s for _, mean_s in results.used):
+    kinds = dict.fromkeys((mean_s, fleet.routed) for fleet, mean_s in results.used)
+    for mean_s, routed in kinds:
         points = [
-            (size * CAPACITY, run)
-            for (size, s), run in results.used.items()
-            if s == mean_s
+            (fleet.servers * CAPACITY, run)
+            for (fleet, s), run in results.used.items()
+            if (s, fleet.routed) == (mean_s, routed)
         ]
         slots_ = [size for size, _ in points]
+        trials = f"trials of {mean_s:g} s{', with a router' if routed else ''}"
         use.semilogx(
             slots_,
             [mean(run, "efficiency") for _, run in points],
-            "o-",
-            label=f"trials of {mean_s:g} s",
+            "s--" if routed else "o-",
+            label=trials,
         )
         load.loglog(
             [run.uses[0].evaluations / mean(run, "wall_s") for _, run in points],
@@ -269,7 +288,7 @@ def draw(results: Results, file: Path) -> None:
                 for _, run in points
             ],
             "o-",
-            label=f"optimizer, trials of {mean_s:g} s",
+            label=f"optimizer, {trials}",
         )
         load.loglog(
             [run.uses[0].evaluations / mean(run, "wall_s") for _, run in points],
@@ -278,7 +297,7 @@ def draw(results: Results, file: Path) -> None:
                 for _, run in points
             ],
             "s--",
-            label=f"all servers, trials of {mean_s:g} s",
+            label=f"all servers, {trials}",
         )
     use.axhline(
         GOAL_EFFICIENCY,
@@ -286,7 +305,7 @@ def draw(results: Results, file: Path) -> None:
         linestyle=":",
         label=f"goal at 4,096 slots: {GOAL_EFFICIENCY:.2f}",
     )
-    ticks = sorted({size * CAPACITY for size, _ in results.used})
+    ticks = sorted({fleet.servers * CAPACITY for fleet, _ in results.used})
     use.set_xticks(ticks, [f"{tick:,}" for tick in ticks])
     use.minorticks_off()
     use.set(

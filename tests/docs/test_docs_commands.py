@@ -114,6 +114,7 @@ GIVEN = {
 HERE = {
     "ROUTER": "127.0.0.1",
     "--repeat 20": "--repeat 2",
+    "repeat = 5\nbudget = { evaluations = 300 }": "repeat = 2\nbudget = { evaluations = 60 }",
     # Its 100 generations are played in tests/integration/test_own_simulator.py.
     "run lost-robots.toml": "run lost-robots.toml --set generations=10",
     "run rendezvous.toml": "run rendezvous.toml --set generations=3",

@@ -38,7 +38,7 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
         {"local_ratio": 0.0, "max_cycles": 15},
         {"generations": 12, "trials": 4},
     ),
-    ("simple_formation_v1", {}, {"generations": 6, "runs": 4, "others": 12}),
+    ("simple_formation_v1", {}, {"generations": 5, "runs": 3, "others": 12}),
     (
         "simple_speaker_listener_v4",
         {},
@@ -47,7 +47,7 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     (
         "multiwalker_v9",
         {"max_cycles": 60},
-        {"generations": 6, "runs": 4, "trials": 2, "unseen": 6, "others": 12},
+        {"generations": 5, "runs": 3, "trials": 2, "unseen": 5, "others": 12},
     ),
 ]
 KEPT = {
@@ -106,10 +106,19 @@ def test_evolution_is_better_than_random_on_seeds_it_never_saw(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("environment", ["CartPole-v1", "Acrobot-v1", "Pendulum-v1"])
-def test_evolution_of_one_agent_is_better_than_random_ones(environment: str) -> None:
+@pytest.mark.parametrize(
+    ("environment", "effort"),
+    [
+        ("CartPole-v1", {"generations": 5, "runs": 3, "others": 12}),
+        ("Acrobot-v1", {"generations": 4, "runs": 3, "others": 12}),
+        ("Pendulum-v1", {"generations": 6, "runs": 4}),
+    ],
+)
+def test_evolution_of_one_agent_is_better_than_random_ones(
+    environment: str, effort: dict[str, int]
+) -> None:
     """It is compared with random actions and random networks."""
-    found = compared("gymnasium", {"environment": environment}, generations=6, runs=4)
+    found = compared("gymnasium", {"environment": environment}, **effort)
     assert found.p < 0.01, found
 
 
