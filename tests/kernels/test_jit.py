@@ -12,13 +12,12 @@ import numpy as np
 import pytest
 
 import zswarm
-from tests.installed_parts import playable
 from tests.integration.programs import install
+from tests.kernels.warming import Warmed, warmed_up
 from zswarm.kernels import cache, jit
 from zswarm.kernels.cache import cache_folder
 from zswarm.kernels.lanes import load, store
 from zswarm.nets import bulk, fully_meshed
-from zswarm.plugins import registry as plugins
 from zswarm.plugins.version_hash import cache_hash
 from zswarm.sims.epuck import trial
 
@@ -162,83 +161,12 @@ def test_a_function_that_calls_a_plugin_is_none_of_the_bundled() -> None:
     assert is_bundled(trial.place.py_func)
 
 
-WARM_UP = """
-import sys
-import numpy as np
-from numba.core import event
-from zswarm.plugins import registry as plugins
-plugins.BUNDLED["simulator"]["lazy"] = "lazy:Lazy"
-from zswarm import evaluate
-from zswarm.kernels.random import Stream
-
-simulators = sys.argv[1].split(",")
-representations = sys.argv[2:] or plugins.names("representation")
-parts = [(simulator, network) for simulator in simulators for network in representations]
-for simulator, representation in parts:
-    with event.install_recorder("numba:compile") as before:
-        built, network = evaluate.build(simulator, {}, representation, {})
-        evaluate.warm_up(built, network)
-    with event.install_recorder("numba:compile") as after:
-        genomes = network.random(built.participants, Stream(1))
-        participants = np.arange(built.participants).reshape(1, -1)
-        evaluate.evaluate(built, network, genomes, participants, np.array([9], np.uint64))
-    print(simulator, representation, len(before.buffer) > 0, len(after.buffer))
-"""
-LAZY = """
-import msgspec, numba
-import numpy as np
-from zswarm.sims.simulator import Outcome, Simulator, Turn
-
-class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    pass
-
-@numba.njit
-def double(x):
-    return 2.0 * x
-
-class Lazy(Simulator):
-    settings_type = Settings
-    inputs, outputs, owners = 1, 1, (0,)
-
-    def reset(self, seed):
-        return Turn([0], np.ones((1, 1), np.float32))
-
-    def step(self, actions):
-        self.fitness = double(float(actions[0, 0]))
-
-    def outcome(self):
-        return Outcome([self.fitness], [])
-"""
-
-
-@pytest.fixture
-def lazy(tmp_path: Path) -> str:
-    """PYTHONPATH with the module of a simulator that has numba compile when it is called."""
-    (tmp_path / "lazy.py").write_text(LAZY)
-    return os.pathsep.join([str(tmp_path), str(PACKAGE.parent)])
-
-
 def test_warming_up_compiles_functions_that_compile_on_their_first_call(
-    lazy: str, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     """No batch waits for the compilation."""
-    said = run(
-        WARM_UP, tmp_path, cache_folder().parent, "lazy", "fully-meshed", PYTHONPATH=lazy
-    )
-    assert said == ["lazy", "fully-meshed", "True", "0"]
-
-
-@pytest.mark.long
-def test_warming_up_compiles_everything_that_a_trial_of_any_part_needs(
-    lazy: str, tmp_path: Path
-) -> None:
-    """The cache is empty at the start."""
-    # Its 18 inputs are too many for mealy.
-    names = playable([*(plugins.BUNDLED["simulator"].keys() - {"pettingzoo"}), "lazy"])
-    said = run(WARM_UP, tmp_path, tmp_path / "cache", ",".join(names), PYTHONPATH=lazy)
-    assert set(said[::4]) == set(names)
-    assert "True" in said[2::4], "there was something to compile"
-    assert set(said[3::4]) == {"0"}
+    found = warmed_up(["lazy"], tmp_path, cache_folder().parent, "fully-meshed")
+    assert found == [Warmed("lazy", "fully-meshed", compiled=True, later=0)]
 
 
 def test_modules_that_numba_loads_for_the_first_kernel_are_loaded_in_advance(
