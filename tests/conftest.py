@@ -47,7 +47,8 @@ with multiprocessing.get_context("fork").Pool() as pool:
 # The longest tests start first, so that none of them runs alone at the end.
 LONGEST = [
     "tests/integration/test_kills.py",
-    "tests/bits/test_bits.py::test_the_bits_are_the_same",
+    "tests/bits/test_bits.py::test_the_oldest_processor",
+    "tests/bits/test_bits.py::test_plain_python",
     "tests/ot/optimizers/test_examples.py::test_novelty_finds",
     "tests/docs/test_notebook.py",
     "tests/docs/test_docs_commands.py",

@@ -162,7 +162,7 @@ def _reopen(options: RouterOptions, reach: Reach) -> session.Session:
 
 def main() -> None:
     """Run the program."""
-    program.run(command)
+    program.run_command(command)
 
 
 if __name__ == "__main__":

@@ -25,8 +25,8 @@ from usage import usage
 from scale.pretended import CAPACITY, Times, draws, durations, salt, speed
 from zswarm import session
 from zswarm.protocol import codec, keys, messages
-from zswarm.ss.slots import events
 from zswarm.session import Reach
+from zswarm.ss.slots import events
 from zswarm.ss.slots.table import SlotTable
 
 REALM = "scale"

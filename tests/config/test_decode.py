@@ -86,6 +86,16 @@ def test_a_valid_mapping_is_converted_and_gets_defaults() -> None:
             "file: inner: unknown key 'dept' (did you mean 'depth'?); known are: depth, names",
         ),
         ({"count": 2, "bare": {"x": 1}}, "file: bare: unknown key 'x'; there are none"),
+        (
+            {"count": 2, "depth": 1},
+            "file: unknown key 'depth' (did you mean 'inner.depth'?); known are: count, colour, "
+            "inner, free, either, bare",
+        ),
+        (
+            {"count": 2, "x": 1, "free": {"a": {"x": 2}}},
+            "file: unknown key 'x' (did you mean 'free.a.x'?); known are: count, colour, inner, "
+            "free, either, bare",
+        ),
     ],
 )
 def test_an_invalid_mapping_is_refused_in_one_clear_line(

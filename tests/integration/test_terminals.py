@@ -167,6 +167,38 @@ def test_the_nearest_word_is_suggested(name: str, typed: list[str], meant: str) 
     assert meant in done.output.lower().split("did you mean")[1]
 
 
+@pytest.mark.parametrize(
+    ("typed", "line"),
+    [
+        (
+            ["zswarm-ot", "run", "--seed", "abc"],
+            "zswarm-ot: invalid value for '--seed': 'abc' is not a valid integer "
+            "(see zswarm-ot run --help)",
+        ),
+        (
+            ["zswarm-ss", "--capacity", "x"],
+            "zswarm-ss: invalid value for '--capacity': 'x' is not a valid integer "
+            "(see zswarm-ss --help)",
+        ),
+        (
+            ["zswarm-router", "--log-level", "x"],
+            "zswarm-router: invalid value for '--log-level': 'x' is not one of 'debug', 'info', "
+            "'warning', 'error' (see zswarm-router --help)",
+        ),
+        (
+            ["zswarm-keys", "join"],
+            "zswarm-keys: missing argument 'BUNDLE' (see zswarm-keys join --help)",
+        ),
+    ],
+)
+def test_a_command_line_is_refused_in_one_line(typed: list[str], line: str) -> None:
+    program = Path(sys.executable).with_name(typed[0])
+    done = subprocess.run(
+        [program, *typed[1:]], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", f"{line}\n")
+
+
 # ---- JSON
 
 

@@ -118,11 +118,27 @@ def _refuse_unknown(
         full = (*path, key)
         if key not in fields:
             known = f"known are: {', '.join(fields)}" if fields else "there are none"
-            raise ConfigError(
-                f"{where}: unknown key {key!r}{nearest(key, fields)}; {known}", full
-            )
+            meant = _in_a_table(key, mapping, fields) or nearest(key, fields)
+            raise ConfigError(f"{where}: unknown key {key!r}{meant}; {known}", full)
         if isinstance(value, Mapping) and is_struct(fields[key]):
             _refuse_unknown(value, fields[key], f"{where}: {key}", full)
+
+
+def _in_a_table(key: str, mapping: Mapping[str, Any], fields: Mapping[str, Any]) -> str:
+    """Return `` (did you mean 'table.key'?)`` if a table may have the key, or has it, else ""."""
+    for table, kind in fields.items():
+        value = mapping.get(table)
+        below = value if isinstance(value, Mapping) else {}
+        inner = [
+            name
+            for name, part in below.items()
+            if isinstance(part, Mapping) and key in part
+        ]
+        if key in {*below, *(_types(kind) if is_struct(kind) else ())}:
+            return f" (did you mean {f'{table}.{key}'!r}?)"
+        if inner:
+            return f" (did you mean {f'{table}.{inner[0]}.{key}'!r}?)"
+    return ""
 
 
 @functools.cache

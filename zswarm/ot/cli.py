@@ -94,8 +94,7 @@ def _run() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(EXIT_FAILED)
     except click.ClickException as error:
-        error.show()
-        sys.exit(error.exit_code)
+        program.refuse(error)
     except ConfigError as error:
         _exit(error, EXIT_MISTAKE)
     except NoServers as error:

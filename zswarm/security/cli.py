@@ -16,7 +16,7 @@ from zswarm.security import keyring, options, report
 from zswarm.security.members import Holder, Role, new_holder
 from zswarm.security.options import AuthorityOptions, at_authority, repeated
 from zswarm.security.report import say
-from zswarm.system import extras, terminal
+from zswarm.system import extras, program
 from zswarm.system.version import VERSION
 
 if TYPE_CHECKING:
@@ -276,8 +276,7 @@ def revoke(names: tuple[str, ...], at: AuthorityOptions) -> None:
 
 def main() -> None:
     """Entry point."""
-    terminal.prepare()
-    command()
+    program.run_command(command)
 
 
 # ---- where keys are used ------------------------------------------------------------------

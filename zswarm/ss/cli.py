@@ -139,4 +139,4 @@ def main() -> None:
     from zswarm.system import program, start
 
     start.prepare("zswarm-ss")
-    program.run(command)
+    program.run_command(command)

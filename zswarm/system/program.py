@@ -2,15 +2,52 @@
 
 import atexit
 import os
+import re
 import sys
 import threading
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from zswarm.system import terminal
+
+if TYPE_CHECKING:  # libraries import this module, too
+    import click
 
 # Threads of this name may wait for a dead link, also while the interpreter ends.
 CLOSING = "closing"
 UNFLUSHED = 120  # exit code, Python's own
+ABORTED = 1  # a question was not answered
+
+
+def run_command(command: "click.Command") -> None:
+    """Run a command as the program; what click refuses is reported in one line."""
+    import click
+
+    def called() -> None:
+        try:
+            command.main(standalone_mode=False)
+        except click.exceptions.Abort:
+            sys.exit(ABORTED)
+        except click.ClickException as error:
+            refuse(error)
+
+    run(called)
+
+
+def refuse(error: "click.ClickException") -> None:
+    """Exit with a line that says why a command line is refused; with the help of an empty one."""
+    import click
+
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+        error.show()
+        sys.exit(error.exit_code)
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context is not None else ""
+    text = " ".join(error.format_message().split()).rstrip(".")
+    text = re.sub(r"is not a valid (\w+) range$", r"is not a valid \1", text)
+    text = f"{path.split(' ')[0]}: {text[:1].lower()}{text[1:]}"
+    sys.stderr.write(f"{text} (see {path} --help)\n" if path else f"{text}\n")
+    sys.exit(error.exit_code)
 
 
 def run(main: Callable[[], None]) -> None:

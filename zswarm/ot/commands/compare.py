@@ -162,6 +162,10 @@ def _show_tests(found: "Comparison") -> None:
     from zswarm.ot.analysis.effect_size import LEVEL
     from zswarm.ot.analysis.grouping import in_problem
 
+    if len(found.rows) == 1:
+        tables.paragraph(
+            "No test: these runs are one group, because they differ in their seed only."
+        )
     if len(found.families) > 1:
         tables.paragraph(
             "The groups of each problem are tested with each other: fitness of different problems "
