@@ -1,9 +1,11 @@
 """A study's folder: its content, its lock, and opening it again; tests/integration plays it."""
 
+import json
 import shutil
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from msgspec import structs
 
 from tests.ot.invented_record import EXPERIMENT, written
@@ -11,6 +13,7 @@ from tests.smallest_experiment import SMALL, small
 from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.experiment import load
+from zswarm.ot.commands import status
 from zswarm.ot.record.writer import Record
 from zswarm.ot.study.study import Study, is_study, load_study, not_begun
 
@@ -62,6 +65,16 @@ def test_runs_that_did_not_begin_are_counted(folder: Path) -> None:
     record(folder, "seed-8", seed=8)
     assert not_begun(folder) == []
     assert not_begun(folder / "seed-7") == []
+
+
+def test_status_counts_the_runs_of_each_study(folder: Path) -> None:
+    record(folder, "seed-7")
+    counts = {"study": str(folder), "runs": 2, "begun": 1, "finished": 0}
+    for given in (folder, folder.parent):
+        said = CliRunner().invoke(status.command, [str(given), "--json"])
+        assert json.loads(said.output)["studies"] == [counts]
+    said = CliRunner().invoke(status.command, [str(folder)])
+    assert "has 2 runs: 0 finished, 1 begun" in " ".join(said.output.split())
 
 
 def test_a_second_study_of_a_name_gets_a_number(folder: Path, file: Path) -> None:

@@ -1,5 +1,6 @@
 """``zswarm-ot status``: show how far runs are."""
 
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import click
 from zswarm.errors import ConfigError
 from zswarm.ot.commands.shared import options, suggestions
 from zswarm.ot.display import tables
-from zswarm.system.format import duration, per_trial
+from zswarm.system.format import duration, per_trial, plural
 from zswarm.system.text import clean
 
 MENU = ("Evolve", 4)
@@ -38,7 +39,7 @@ def command(folder: Path, as_json: bool) -> None:
 
     Shows the runs below a folder ("runs" by default), also those that run detached, in other
     terminals, or on other machines that share the folder: generation, best fitness, and the time
-    that is left.
+    that is left; and how many runs of each study there have ended.
 
     \b
       zswarm-ot status
@@ -51,12 +52,41 @@ def command(folder: Path, as_json: bool) -> None:
         raise ConfigError(f"{clean(str(folder))}: no such folder")
     rows = [_row(run) for run in folders_below(folder)]
     rows.sort(key=lambda row: row["status"] not in FIRST)
+    studies = [_study(found, rows) for found in _studies(folder)]
     if as_json:
-        tables.print_json({"runs": rows})
-    elif rows:
+        tables.print_json({"runs": rows, "studies": studies})
+        return
+    if rows:
         _show(rows)
     else:
         tables.line(f"no run in {clean(str(folder))}")
+    for study in studies:
+        found = f"{study['finished']} finished, {study['begun']} begun"
+        tables.paragraph(f"{study['study']} has {plural(study['runs'], 'run')}: {found}.")
+
+
+def _studies(folder: Path) -> list[Path]:
+    """Return the folder or those in it, as far as they are of studies that can be read."""
+    from zswarm.ot.study.study import is_study
+
+    found = []
+    for path in [folder, *sorted(folder.glob("*/"))]:
+        with contextlib.suppress(ConfigError):
+            found += [path] if is_study(path) else []
+    return found
+
+
+def _study(folder: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    from zswarm.ot.study.study import load_study
+
+    name = clean(str(folder))
+    status = [row["status"] for row in rows if Path(row["run"]).parent == Path(name)]
+    return {
+        "study": name,
+        "runs": load_study(folder).study.runs(),
+        "begun": len(status),
+        "finished": status.count("finished"),
+    }
 
 
 def _row(folder: Path) -> dict[str, Any]:
