@@ -37,7 +37,7 @@ product: $(READY)
 
 # Scenarios of VMAS, and runs for MLflow and Weights & Biases, in an environment of their own: these are large.
 vmas: build/vmas/ready
-	build/vmas/bin/python -m pytest $(TESTS) -m vmas $(ARGS)
+	build/vmas/bin/python -m pytest -n 2 -m vmas tests/sims/adapters/test_vmas.py tests/ot/analysis/test_trackers.py $(ARGS)
 
 # Dashboard and player in a real browser: chromium (Debian: apt install chromium).
 browser: $(READY)

@@ -483,7 +483,7 @@ def slots_of(server: int) -> list[int]:
     return [slot for child in children(server) for slot in children(child)]
 
 
-@pytest.mark.parametrize("seconds", [2, pytest.param(30, marks=pytest.mark.faults)])
+@pytest.mark.parametrize("seconds", [2, pytest.param(10, marks=pytest.mark.faults)])
 def test_a_daemon_survives_random_bytes_on_every_key(
     tmp_path: Path, seconds: int
 ) -> None:

@@ -50,7 +50,7 @@ def test_a_scenario_keeps_the_contract(scenario: str) -> None:
             "navigation",
             {"n_agents": 2, "collisions": False},
             30,
-            {"generations": 20, "trials": 3},
+            {"generations": 12, "trials": 2},
         ),
     ],
 )
