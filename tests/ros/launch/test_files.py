@@ -3,6 +3,7 @@
 import gc
 import math
 import os
+import re
 import runpy
 import shutil
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
 from zswarm.evaluate import TrialOutcomes
 from zswarm.kernels.random import Stream
 from zswarm.plugins import registry as plugins
-from zswarm.ros.launch import packages
+from zswarm.ros.launch import packages, roslaunch
 from zswarm.ros.launch.files import RosFiles
 
 EXAMPLE = REPOSITORY / "examples" / "ros" / "files"
@@ -354,6 +355,39 @@ FAULTS = {
     "kills-roslaunch": r"roslaunch was killed by signal 9 \(SIGKILL; ",
     "ends-roslaunch": r"roslaunch was told to end before its nodes had ended",
 }
+SAID = """process[rosout-1]: started with pid [23092]
+started core service [/rosout]
+cannot load the map
+failed to start local process: /tmp/rough/node.sh fails
+local launch of rough/node.sh failed
+========REQUIRED process [node-2] has died!
+process has died {how}, cmd /tmp/rough/node.sh fails].
+log file: /tmp/log/node-2*.log
+Initiating shutdown!
+========
+[node-2] killing on exit
+"""
+
+
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [
+        ("[pid 71, exit code 7", "ended with code 7"),
+        ("[pid -1, exit code 7", "ended with code 7"),
+        ("[pid None, exit code 7", "ended with code 7"),
+        ("[pid -1, exit code -9", r"was killed by signal 9 \(SIGKILL; .*\)"),
+        ("without exit code [pid 71", "ended without an exit code"),
+    ],
+)
+def test_a_failed_node_is_found_in_the_output_of_roslaunch(how: str, why: str) -> None:
+    """A node that ends before roslaunch looks at it has no process id there."""
+    found = roslaunch.fault(SAID.format(how=how))
+    assert re.fullmatch(rf"node node-2 {why}; it wrote: .*cannot load the map.*", found)
+    ended = "[node-2] process has finished cleanly\n"
+    everyone = "all processes on machine have died, roslaunch will exit\n"
+    assert roslaunch.fault(ended + everyone) == ""
+
+
 DECIDED = {
     "no-logs": r"LogError: log/ has 0 logs; expected 2, one of each robot$",
     "one-log-less": r"LogError: log/ has 1 logs \(robot_1\.log\); expected 2, one of each robot$",

@@ -27,10 +27,10 @@ ENDING_S = 10.0  # for a supervisor to end
 READ = 4 << 20  # bytes of output, from the end
 DIED = re.compile(
     r"(?:=+REQUIRED process )?\[(?P<node>[^\]\n]*)\] (?:has died!\n)?"
-    r"process has died \[pid (?:\d+|None), exit code (?P<code>-?\d+)"
+    r"process has died (?:without exit code )?\[pid [^,\n]*, (?:exit code (?P<code>-?\d+))?"
 )
 STARTED = "]: started with pid ["  # in roslaunch's line about a process
-# A node that ends before roslaunch looks at it; it has no pid then.
+# A node that ends before roslaunch looks at it; its pid is -1 or None then.
 NOT_STARTED = re.compile(r"failed to start local process: .*\n")
 # roslaunch ends: a required node ended, and later ends of nodes mean nothing; or all ended.
 OVER = re.compile(
@@ -176,14 +176,19 @@ def launch(
     ended = supervisor.run(command, file.parent, with_master)
     if ended.code:
         raise EvaluationError(f"roslaunch {ending(*ended)}")
-    over = OVER.search(ended.output)
-    if died := DIED.search(ended.output[: over.start() if over else None]):
-        before = NOT_STARTED.sub("", ended.output[: died.start()])
+    if why := fault(ended.output):
+        raise EvaluationError(why)
+
+
+def fault(output: str) -> str:
+    """Return how a node, or roslaunch, ended as it should not have, from its output; else ""."""
+    over = OVER.search(output)
+    if died := DIED.search(output[: over.start() if over else None]):
+        before = NOT_STARTED.sub("", output[: died.start()])
         own = before.rpartition(STARTED)[2].partition("\n")[2]
-        raise EvaluationError(
-            f"node {clean(died['node'])} {ending(int(died['code']), own)}"
-        )
+        if died["code"] is None:
+            return f"node {clean(died['node'])} ended without an exit code{wrote(own)}"
+        return f"node {clean(died['node'])} {ending(int(died['code']), own)}"
     if over is None:
-        raise EvaluationError(
-            f"roslaunch was told to end before its nodes had ended{wrote(ended.output)}"
-        )
+        return f"roslaunch was told to end before its nodes had ended{wrote(output)}"
+    return ""
