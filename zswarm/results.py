@@ -9,7 +9,7 @@ from zswarm.errors import ConfigError
 from zswarm.ot.analysis import grouping
 from zswarm.ot.analysis.grouping import flat
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 from zswarm.system.extras import need
 from zswarm.system.format import plural
 

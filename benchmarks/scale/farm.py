@@ -309,10 +309,11 @@ class Router:
             env={**os.environ, "ZSWARM_KEYS": "none"},
             stderr=subprocess.DEVNULL,
         )
-        while True:
+        while self._process.poll() is None:
             with contextlib.suppress(OSError), socket.create_connection((host, port)):
                 return
             time.sleep(LINK_S)
+        raise RuntimeError(f"{program} ended with code {self._process.returncode}")
 
     def cpu_s(self) -> float:
         """Return the processor time that it used so far."""

@@ -6,6 +6,7 @@ import re
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from zswarm.system import terminal
@@ -42,11 +43,11 @@ def refuse(error: "click.ClickException") -> None:
         error.show()
         sys.exit(error.exit_code)
     context = getattr(error, "ctx", None)
-    path = context.command_path if context is not None else ""
+    path = context.command_path if context is not None else Path(sys.argv[0]).name
     text = " ".join(error.format_message().split()).rstrip(".")
     text = re.sub(r"is not a valid (\w+) range$", r"is not a valid \1", text)
     text = f"{path.split(' ')[0]}: {text[:1].lower()}{text[1:]}"
-    sys.stderr.write(f"{text} (see {path} --help)\n" if path else f"{text}\n")
+    sys.stderr.write(f"{text} (see {path} --help)\n")
     sys.exit(error.exit_code)
 
 

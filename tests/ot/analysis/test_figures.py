@@ -19,7 +19,7 @@ from zswarm.errors import ConfigError
 from zswarm.ot import cli
 from zswarm.ot.analysis import curves, drawing, figures, grouping, picture
 from zswarm.ot.analysis.curves import Series
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 
 HOSTILE = [
     "$\\frac{$",

@@ -7,7 +7,7 @@ import pytest
 from tests.ot.record.recorded import make
 from zswarm import experiment
 from zswarm.ot.analysis.grouping import groups
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 from zswarm.ot.record.writer import Record
 
 

@@ -13,7 +13,7 @@ from zswarm.errors import ConfigError
 from zswarm.ot.analysis import compared, grouping, latex, measure
 from zswarm.ot.analysis.measure import Evaluated
 from zswarm.ot.cli import command
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 
 
 def typed(*arguments: object) -> str:

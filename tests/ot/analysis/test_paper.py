@@ -19,7 +19,7 @@ from zswarm.ot.analysis.measure import Evaluated
 from zswarm.ot.cli import command
 from zswarm.ot.evaluator import CandidateOutcomes
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 from zswarm.ot.study import evaluating
 
 

@@ -14,7 +14,7 @@ from zswarm.ot.analysis.compared import compare, over_problems
 from zswarm.ot.analysis.curves import load
 from zswarm.ot.analysis.effect_size import LEVEL
 from zswarm.ot.cli import command
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 from zswarm.ot.report import report
 
 METHODS = (("A", 2, 0.0), ("B", 3, 50.0), ("C", 4, 90.0))

@@ -19,7 +19,7 @@ from tests.ot.record.recorded import (
 )
 from zswarm.errors import ConfigError
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 from zswarm.ot.record.summary import list_runs
 from zswarm.ot.record.writer import Record
 

@@ -11,7 +11,7 @@ from zswarm.champion.held_out import HeldOut
 from zswarm.ot.analysis import compared, grouping, measure
 from zswarm.ot.analysis.measure import FITNESS, HELD_OUT, SEARCH, Evaluated
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 from zswarm.ot.record.writer import Record
 from zswarm.ot.report import report
 from zswarm.ot.report.compared_by import PARTLY, compare

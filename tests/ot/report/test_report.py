@@ -18,7 +18,7 @@ from zswarm.champion.controller import CHAMPION, load_controller
 from zswarm.ot import cli
 from zswarm.ot.notes import Note
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 from zswarm.ot.replay import held_out
 from zswarm.ot.report import champion as champions
 from zswarm.ot.report import report

@@ -12,7 +12,7 @@ from zswarm.ot.analysis import grouping
 from zswarm.ot.record import stopping
 from zswarm.ot.record.folder import EXPERIMENT as FILE
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 from zswarm.ot.record.writer import Record
 from zswarm.ot.report import report
 from zswarm.ot.report.settings import (

@@ -75,6 +75,10 @@ def test_status_counts_the_runs_of_each_study(folder: Path) -> None:
         assert json.loads(said.output)["studies"] == [counts]
     said = CliRunner().invoke(status.command, [str(folder)])
     assert "has 2 runs: 0 finished, 1 begun" in " ".join(said.output.split())
+    (folder / "experiment.toml").write_text("[study]\nrepeat = 'often'")
+    said = CliRunner().invoke(status.command, [str(folder), "--json"])
+    found = json.loads(said.output)
+    assert (len(found["runs"]), found["studies"]) == (1, []), "a damaged study hides none"
 
 
 def test_a_second_study_of_a_name_gets_a_number(folder: Path, file: Path) -> None:

@@ -9,7 +9,7 @@ from zswarm.errors import ConfigError
 from zswarm.ot.analysis import compared, curves, figures, grouping
 from zswarm.ot.analysis.curves import Axis
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 
 PICTURE = "fitness.png"  # in a run's folder
 

@@ -57,7 +57,7 @@ def command(
     from zswarm.ot.analysis import compared, grouping
     from zswarm.ot.analysis import csv as spreadsheet
     from zswarm.ot.analysis import latex as latex_tables
-    from zswarm.ot.record.run_index import runs_below
+    from zswarm.ot.record.runs import runs_below
     from zswarm.ot.study.study import not_begun
     from zswarm.system.files import write_for_user
 
@@ -164,7 +164,7 @@ def _show_tests(found: "Comparison") -> None:
 
     if len(found.rows) == 1:
         tables.paragraph(
-            "No test: these runs are one group, because they differ in their seed only."
+            "No test: there is one group. Runs that differ only in their seed form a group."
         )
     if len(found.families) > 1:
         tables.paragraph(

@@ -45,7 +45,7 @@ def command(
       zswarm-ot convert runs --to mlflow
     """
     from zswarm.ot.analysis import trackers
-    from zswarm.ot.record.run_index import runs_below
+    from zswarm.ot.record.runs import runs_below
 
     runs, folder = runs_below(paths), out or Path(target)
     trackers.convert(runs, target, folder)

@@ -177,7 +177,7 @@ def _study(
     from zswarm.ot.analysis import csv as spreadsheet
     from zswarm.ot.analysis import grouping, measure
     from zswarm.ot.cluster.connection import Connection
-    from zswarm.ot.record.run_index import runs_below
+    from zswarm.ot.record.runs import runs_below
     from zswarm.ot.study import evaluating
     from zswarm.ot.study.study import load_study
 

@@ -36,7 +36,7 @@ def command(
       zswarm-ot note runs/stadium
     """
     from zswarm.ot.record import annotations
-    from zswarm.ot.record.run_index import runs_below
+    from zswarm.ot.record.runs import runs_below
 
     found = [(run, annotations.load(run.folder)) for run in runs_below(paths)]
     if tags or untags or text is not None:

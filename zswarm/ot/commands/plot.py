@@ -106,7 +106,7 @@ def command(
     from zswarm.ot.analysis import curves, figures, grouping, picture
     from zswarm.ot.analysis.drawing import SIZES
     from zswarm.ot.analysis.measure import SEARCH
-    from zswarm.ot.record.run_index import runs_below
+    from zswarm.ot.record.runs import runs_below
 
     options.check_stdout(csv, as_json=as_json)
     name = paths[0].resolve().name if len(paths) == 1 else "comparison"

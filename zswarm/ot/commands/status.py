@@ -39,7 +39,7 @@ def command(folder: Path, as_json: bool) -> None:
 
     Shows the runs below a folder ("runs" by default), also those that run detached, in other
     terminals, or on other machines that share the folder: generation, best fitness, and the time
-    that is left; and how many runs of each study there have ended.
+    that is left; and how many runs of each study have begun and finished.
 
     \b
       zswarm-ot status
@@ -52,7 +52,7 @@ def command(folder: Path, as_json: bool) -> None:
         raise ConfigError(f"{clean(str(folder))}: no such folder")
     rows = [_row(run) for run in folders_below(folder)]
     rows.sort(key=lambda row: row["status"] not in FIRST)
-    studies = [_study(found, rows) for found in _studies(folder)]
+    studies = _studies(folder, rows)
     if as_json:
         tables.print_json({"runs": rows, "studies": studies})
         return
@@ -65,28 +65,22 @@ def command(folder: Path, as_json: bool) -> None:
         tables.paragraph(f"{study['study']} has {plural(study['runs'], 'run')}: {found}.")
 
 
-def _studies(folder: Path) -> list[Path]:
-    """Return the folder or those in it, as far as they are of studies that can be read."""
-    from zswarm.ot.study.study import is_study
+def _studies(folder: Path, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Count the runs of the study in a folder, or of the studies below it that can be read."""
+    from zswarm.ot.study.study import is_study, load_study
 
     found = []
     for path in [folder, *sorted(folder.glob("*/"))]:
-        with contextlib.suppress(ConfigError):
-            found += [path] if is_study(path) else []
+        with contextlib.suppress(ConfigError, OSError):
+            if not is_study(path):
+                continue
+            name, planned = clean(str(path)), load_study(path).study.runs()
+            status = [
+                row["status"] for row in rows if Path(row["run"]).parent == Path(name)
+            ]
+            begun = {"begun": len(status), "finished": status.count("finished")}
+            found.append({"study": name, "runs": planned, **begun})
     return found
-
-
-def _study(folder: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
-    from zswarm.ot.study.study import load_study
-
-    name = clean(str(folder))
-    status = [row["status"] for row in rows if Path(row["run"]).parent == Path(name)]
-    return {
-        "study": name,
-        "runs": load_study(folder).study.runs(),
-        "begun": len(status),
-        "finished": status.count("finished"),
-    }
 
 
 def _row(folder: Path) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from zswarm.ot.notes import RunEvent
 from zswarm.ot.record import epochs
 from zswarm.ot.record.folder import EXPERIMENT
 from zswarm.ot.record.reader import Row, Run
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 from zswarm.ot.replay import held_out
 from zswarm.ot.report import champion as champions
 from zswarm.ot.report import compared_by

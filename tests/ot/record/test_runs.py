@@ -9,7 +9,7 @@ from tests.ot.record.recorded import complete, make
 from zswarm.errors import ConfigError
 from zswarm.ot.record.folder import DATABASE, load_experiment
 from zswarm.ot.record.reader import Run
-from zswarm.ot.record.run_index import runs_below
+from zswarm.ot.record.runs import runs_below
 from zswarm.ot.record.summary import list_runs
 from zswarm.ot.record.writer import Record
 
