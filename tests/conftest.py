@@ -12,6 +12,8 @@ import time
 import pytest
 from hypothesis import settings
 
+from zswarm.system.start import ONE_THREAD
+
 settings.register_profile("local", deadline=None, print_blob=True)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
@@ -19,6 +21,8 @@ settings.load_profile("ci" if os.environ.get("CI") else "local")
 # Hundreds of programs are started: each would compile the Python that it imports.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+# Scripts of tests, too: zswarm's programs do so themselves.
+os.environ.update(ONE_THREAD)
 
 # When checks no longer begin a test (.ci/run), in seconds since 1970.
 CHECKS_END = float(os.environ.get("CHECKS_END", "inf"))

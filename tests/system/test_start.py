@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from zswarm.system import start
+
 CLOSED = 'exec "$0" "$@" <&- >&- 2>&-'
 LOOKS = """
 import json, os, sys, syslog
@@ -62,3 +64,30 @@ def test_too_little_address_space_is_named_in_one_line(program: str) -> None:
         f"zswarm-{program}: the address space is limited to 292 MB; expected at least 600 MB "
         "(ulimit -v unlimited)\n"
     )
+
+
+THREADS = """
+import sys
+from zswarm.system import start
+start.prepare("zswarm-x")
+import numpy, psutil
+print(psutil.Process().num_threads())
+"""
+
+
+@pytest.mark.parametrize(
+    ("asked", "threads"),
+    [({}, 1), ({"OPENBLAS_NUM_THREADS": "2"}, min(2, os.cpu_count() or 1))],
+)
+def test_numpy_starts_no_threads_unless_it_is_asked_to(
+    asked: dict[str, str], threads: int
+) -> None:
+    """They would spin for a tenth of a second of every program."""
+    environment = {
+        name: value for name, value in os.environ.items() if name not in start.ONE_THREAD
+    }
+    command = [sys.executable, "-c", THREADS]
+    ended = subprocess.run(
+        command, capture_output=True, check=True, env=environment | asked
+    )
+    assert int(ended.stdout) == threads

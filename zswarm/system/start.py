@@ -7,15 +7,23 @@ import sys
 import syslog
 
 LEAST_ADDRESS_MB = 600  # of address space: libraries map that much, touched or not
+# Threads of a BLAS and of OpenMP: those that NumPy starts spin for a tenth of a second each.
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+)
 
 
 def prepare(program: str) -> None:
     """Open standard streams that are closed, and end the program if it cannot have the memory.
 
+    NumPy gets one thread, unless the environment says otherwise.
+
     Args:
         program: its name, for messages.
     """
     _open_streams(program)
+    for name, threads in ONE_THREAD.items():
+        os.environ.setdefault(name, threads)
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     if limit != resource.RLIM_INFINITY and limit >> 20 < LEAST_ADDRESS_MB:
         sys.stderr.write(

@@ -32,10 +32,9 @@ from zswarm.ss.workers.frames import BrokenFrameError, ServerEnd, new_key, new_p
 from zswarm.ss.workers.output import Output
 from zswarm.system import log, shared_memory
 from zswarm.system.processes import exit_reason
+from zswarm.system.start import ONE_THREAD
 from zswarm.system.text import clean
 
-# A slot is one thread; a BLAS takes 40 MB for each.
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 # Before a process that died early again is replaced.
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 10.0
 KILLED_S = 0.2  # for a killed process to go, before the loop continues
@@ -50,7 +49,7 @@ def start_fork_server() -> None:
 
     It loads numba, so it is to be started before slow imports; and before zenoh is opened.
     """
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    os.environ.update(ONE_THREAD)  # a BLAS takes 40 MB for each thread
     # A simulator that iterates over a set of strings then does so in one order in all slots.
     os.environ["PYTHONHASHSEED"] = "0"
     _context.set_forkserver_preload(child.PRELOADED)
