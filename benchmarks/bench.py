@@ -2,7 +2,7 @@
 
 Each script is a program of its own, in the environment that has the peers. What it leaves in
 ``build/bench`` takes the place of what ``results.json`` has of it. With ``--quick`` nothing of the
-repository is changed: the page goes to ``build/bench-quick``.
+repository is changed: the page goes to ``build/bench-quick``, named after the parts that are chosen.
 """
 
 import argparse
@@ -67,7 +67,11 @@ def main() -> None:
         parser.error(
             f"no such part: {', '.join(sorted(unknown))}; there are {', '.join(COMMANDS)}"
         )
-    to = BUILD / "bench-quick" if options.quick else HERE.parent
+    to = BUILD / "-".join(["bench-quick", *(names if options.only else [])])
+    if options.quick:  # without what an earlier one left
+        shutil.rmtree(to, ignore_errors=True)
+    else:
+        to = HERE.parent
     folder = to if options.quick else machine.RESULTS
     begin, failed = time.monotonic(), []
     for name in names:

@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="one round of 400 candidates on 4 slots: whether it works",
+        help="one round of 50 candidates on 4 slots: whether it works",
     )
     parser.add_argument(
         "--folder", type=Path, help="where the results go [default: build/bench]"
@@ -81,7 +81,7 @@ def main() -> None:
         return
     if options.quick:
         options.rounds, options.warm_s = 1, 0.05
-        options.slots, options.populations = WHOLE[:1], WHOLE[1:]
+        options.slots, options.populations = WHOLE[:1], POPULATIONS[:1]
     names = options.only.split(",") if options.only else list(PEERS)
     if unknown := set(names) - set(PEERS):
         parser.error(
