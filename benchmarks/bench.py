@@ -2,7 +2,7 @@
 
 Each script is a program of its own, in the environment that has the peers. What it leaves in
 ``build/bench`` takes the place of what ``results.json`` has of it. With ``--quick`` nothing of the
-repository is changed: the page goes to ``build/bench-quick``, named after the parts that are chosen.
+repository is changed: the page goes to ``build/bench-quick`` and the names of chosen parts.
 """
 
 import argparse

@@ -75,7 +75,7 @@ class Allotment(msgspec.Struct, eq=False):
             self.at = self.at if self.roster.phases[Phase.SEEN] else 0.0
 
     def granted(self, server: RemoteServer) -> None:
-        """Come back to the slots: a server granted some, perhaps fewer than it was asked for."""
+        """Allot again, since a server granted slots, perhaps fewer than it was asked for."""
         if server.slots < server.wanted:
             server.free = 0
         self.at = 0.0

@@ -273,5 +273,5 @@ class Dispatch:
                 self.servers.lease_lost(server, refused.reason)
             case "mismatch":
                 self.servers.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
-            case _:  # cancelled, though nobody did: not to be sent the same at once
+            case _:  # busy, or cancelled without a request: wait before sending more
                 self.servers.pause_server(server)

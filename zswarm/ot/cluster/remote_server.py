@@ -144,7 +144,7 @@ class RemoteServer(msgspec.Struct, eq=False):
     machine: str = ""  # what it does wrong is held against this (``machines``)
     present: bool = False  # its token is there
     lease: bytes = b""  # while LEASED or LEAVING
-    # A lease given up because of silence or a cut link, in any phase after these: it may still
+    # A lease that was dropped because of silence or a cut link, in any later phase: it may still
     # be valid at the server.
     resumable_lease: bytes = b""
     # Digests of the trials of the probe, which every server plays. Equal code computes

@@ -9,8 +9,8 @@ import msgspec
 from zswarm.ot.cluster.remote_server import Phase, RemoteServer, Standing
 
 NAMED = 5  # servers that prepare, in a standing
-# A server without a token is remembered so long, for its lease may be resumed; after that it
-# expired. One that is restarted has another id.
+# A server without a token is remembered for at least this time, since its lease may be resumed;
+# after it, the lease has expired. A server that is restarted has another id.
 FORGET_S = 120.0
 
 # Of a server: phase, slots, ready ones, taken ones, machine, and whether it is partial.

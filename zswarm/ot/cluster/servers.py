@@ -22,7 +22,7 @@ from zswarm.protocol import messages
 from zswarm.protocol.messages import Lease, Offer, Refused, Release, Renew, Reply, Verb
 from zswarm.system.format import plural
 
-# A third of the lease time; only the reply to a renewal has the current number of slots.
+# A third of the lease time; only replies to Reserve and Renew have the number of slots.
 RENEW_S = 20.0
 RETRY_S = (0.05, 0.2, 1.0)  # before a query that was not answered is sent again
 PAUSE_S = 1.0  # before a server that had no room, or that ended the lease, is asked again
@@ -315,7 +315,7 @@ class Servers(msgspec.Struct, eq=False):
         self.out.note(RunEvent.LEASE_LOST, server.id, reason)
 
     def set_back(self, server: RemoteServer, note: RunEvent, text: str) -> None:
-        """Release a server that cannot serve now; reserve again after a pause, a growing one."""
+        """Release a server that cannot serve now; ask for its offer after an increasing delay."""
         pause_s = server.next_setback_s()
         to = Phase.BACKED_OFF if Phase.BACKED_OFF in MOVES[server.phase] else Phase.IDLE
         if to in MOVES[server.phase]:

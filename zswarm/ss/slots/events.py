@@ -39,7 +39,7 @@ class HolderAlive(msgspec.Struct, frozen=True):
 
 
 class Preparing(SlotMessage, frozen=True):
-    """The slot has built its problem; with nothing to compile, others find what it compiled."""
+    """The slot has built its problem; other slots can load its kernels if none is to compile."""
 
     compiling: int  # kernels that are not compiled, before the first trial
     probe_trials: int  # that the probe has: one if the simulator is not repeatable

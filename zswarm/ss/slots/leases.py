@@ -15,11 +15,12 @@ A lease ends, from every state, when
 Then its queries are answered with ``lease-lost``, its cached replies are dropped, and its slots
 become free: an idle one at once, a working one when it has stopped.
 
-A program draws a ``nonce`` when it starts, and sends it with every ``Reserve``: the same nonce gets
-the same lease, which is how a program resumes a lease after its link was cut. ``epoch`` is how
+A program draws a ``nonce`` for each cluster that it opens, and sends it with every ``Reserve``: the
+same nonce gets the same lease, which is how a program resumes a lease after its link was cut. ``epoch`` is how
 often the run was resumed: ``zswarm-ot resume`` raises it in the record. So the slots of a run that
 another program resumes are taken over, and the first program, if it still lives, is refused with
-``superseded`` when it reserves again, and ends (docs/protocol.md, "Life of a lease").
+``superseded`` when it reserves again. It ends if this is a server of its own machine, and otherwise
+if its record confirms the resume (docs/protocol.md, "Life of a lease").
 
 ``proof`` shows that a program has the run's secret, which its record holds. Only who shows the
 proof of a lease takes it over, or ends the program that holds it; a lease of an older program,
@@ -147,7 +148,7 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
         self._strip(lease, lease.failure_code, reason)
 
     def _strip(self, lease: HeldLease, code: Refusal, reason: str) -> None:
-        """Refuse the jobs of a lease, and take its slots; those that work are to stop first."""
+        """Refuse the jobs of a lease and take its slots: busy ones stop, preparing ones finish."""
         lease.jobs.clear(code, reason)
         for slot in list(lease.slots):
             if slot.state == "busy":

@@ -2,9 +2,9 @@
 
 - Users get equal shares, as far as their runs want slots; then the runs of a user do. What cannot
   be divided goes to those who stand first in line.
-- A lease that had nothing to evaluate for ``LEND_S`` keeps its right, but its idle slots are lent
-  to leases with trials that wait, one for each trial at most. It gets them back, each at the end of
-  a chunk, when it has work.
+- A lease that had an idle slot and no waiting trials for ``LEND_S`` keeps its right, but its idle
+  slots are lent to leases with waiting trials, one for each trial at most. It gets them back, each
+  at the end of a chunk, when it has work.
 - Where a lease would have no slot at all, leases take turns: after ``TURN_S`` those that used most
   slot-seconds lately go to the end of the line. A turn is longer where a trial or the preparation
   takes long, so that more time is computed than is prepared.
@@ -42,7 +42,7 @@ class Sharing(msgspec.Struct, eq=False):
     # Slot-seconds that users used, those before the last turn faded; and those at the last turn.
     used: dict[str, float] = {}
     at_turn: dict[str, float] = {}
-    _turn_began: float | None = None  # None: everybody has a slot
+    _turn_began: float | None = None  # None: no share is zero
     _used_until: float = 0.0
     # The capacity and what leases wanted, and their rights, until the next turn begins.
     _rights: tuple[int, list[tuple[HeldLease, int]], dict[HeldLease, int]] | None = None

@@ -209,7 +209,7 @@ class SlotTable:
     # ---- events of slots
 
     def _preparing(self, slot: Slot, event: events.Preparing) -> None:
-        """Take note of how far a slot is; one that has lost its lease is not asked for."""
+        """Note how far a slot is, unless it has lost its lease."""
         if slot.lease is not None and slot.state == "preparing":
             slot.lease.trials.built(event, self._out.now)
 
@@ -354,7 +354,7 @@ class SlotTable:
             lease.unreported_since = self._out.now
 
     def _answer_renewals(self, lease: HeldLease) -> None:
-        """Answer renewals with an outdated number of ready slots, those held for long, and more."""
+        """Answer renewals that have news, were held for long, or are too many."""
         renewals, lease.renewals = lease.renewals, []
         for later, renewal in zip(range(len(renewals))[::-1], renewals, strict=True):
             known = renewal.known_ready == lease.ready() and not lease.failure
