@@ -34,23 +34,7 @@ def build(complete: Experiment) -> Parts:
     settings = convert(complete.optimizer.settings, loaded.settings_type, "optimizer")
     seed = derive_seed(complete.seed, "optimizer")
     optimizer: Optimizer = loaded(settings, problem.representation, seed)
-    for measure in optimizer.measures:
-        if measure not in simulator.metrics:
-            known = ", ".join(simulator.metrics) or "none"
-            raise ConfigError(
-                f"optimizer: measures: {name} has no metric {measure!r}; it has: {known}"
-            )
-    if problem.ranking.relative and not optimizer.competes:
-        raise ConfigError(
-            f"optimizer: {kind} compares fitness between generations, but scores of "
-            f"{complete.ranking.kind} compare only within one; optimizers that take them: "
-            f"{', '.join(_competing())}"
-        )
-    if optimizer.replays and complete.record.genomes != "all":
-        raise ConfigError(
-            f'record: genomes: expected "all" with the optimizer {kind}: a resume tells it all '
-            "genomes again"
-        )
+    _check_optimizer(problem, optimizer)
     stop = complete.stop
     if problem.ranking.relative and (stop.fitness != "none" or stop.stagnation):
         raise ConfigError(
@@ -76,6 +60,28 @@ def build(complete: Experiment) -> Parts:
     if complete.assessment.racing:
         _check_racing(problem, optimizer)
     return Parts(problem, optimizer)
+
+
+def _check_optimizer(problem: Problem, optimizer: Optimizer) -> None:
+    complete, simulator = problem.experiment, problem.simulator
+    kind, name = complete.optimizer.kind, complete.problem.simulator
+    for measure in optimizer.measures:
+        if measure not in simulator.metrics:
+            known = ", ".join(simulator.metrics) or "none"
+            raise ConfigError(
+                f"optimizer: measures: {name} has no metric {measure!r}; it has: {known}"
+            )
+    if problem.ranking.relative and not optimizer.competes:
+        raise ConfigError(
+            f"optimizer: {kind} compares fitness between generations, but scores of "
+            f"{complete.ranking.kind} compare only within one; optimizers that take them: "
+            f"{', '.join(_competing())}"
+        )
+    if optimizer.replays and complete.record.genomes != "all":
+        raise ConfigError(
+            f'record: genomes: expected "all" with the optimizer {kind}: a resume tells it all '
+            "genomes again"
+        )
 
 
 def _check_racing(problem: Problem, optimizer: Optimizer) -> None:

@@ -140,6 +140,13 @@ def mixed(runs: Iterable["Run"]) -> list[str]:
     return [f"{name} was {text}" for name, text in marks.items() if text]
 
 
+def _differing(problems: list[dict[str, Any]]) -> list[str]:
+    keys = sorted({key for problem in problems for key in problem})
+    return [
+        key for key in keys if len({repr(problem.get(key)) for problem in problems}) > 1
+    ]
+
+
 def problems(runs: Iterable["Run"], *, search: bool = True) -> list[str]:
     """Return notes if the runs have different problems, or candidates with different trials."""
 
@@ -157,10 +164,7 @@ def problems(runs: Iterable["Run"], *, search: bool = True) -> list[str]:
     if len(simulators) > 1:
         names = ", ".join(simulators)
         return [f"runs of different problems ({names}): their fitness does not compare"]
-    keys = sorted({key for problem in found for key in problem})
-    differing = [
-        key for key in keys if len({repr(problem.get(key)) for problem in found}) > 1
-    ]
+    differing = _differing(found)
     notes = []
     if search and (lucky := [LUCKY[key] for key in differing if key in LUCKY]):
         notes.append(

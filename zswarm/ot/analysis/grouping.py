@@ -30,6 +30,12 @@ def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
         together.setdefault(key, []).append(run)
     members = list(together.values())
     of_problems = problems([each[0] for each in members])
+    labels = _labels(members, of_problems)
+    return dict(zip(_told_apart(labels, members), members, strict=True))
+
+
+def _labels(members: list[list[Run]], of_problems: list[str]) -> list[str]:
+    """Return a label for each group, of which several may be the same."""
     settings = [flat(each[0].experiment) for each in members]
     differing = [
         key
@@ -39,8 +45,7 @@ def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
     short = len(members) > 1 and len(differing) <= IN_LABEL
     labels = []
     for each, values, problem in zip(members, settings, of_problems, strict=True):
-        chosen = {run.experiment.label for run in each} - {""}
-        parts = sorted(chosen)[:1] or [
+        parts = sorted({run.experiment.label for run in each} - {""})[:1] or [
             _label(name, values[name], differing)
             for name in differing
             if short and name in values
@@ -48,7 +53,7 @@ def groups(runs: Sequence[Run]) -> dict[str, list[Run]]:
         name = each[0].experiment.name
         label = ", ".join(parts) or ("" if short else name)
         labels.append(label + in_problem(problem) if label else problem or name)
-    return dict(zip(_told_apart(labels, members), members, strict=True))
+    return labels
 
 
 def problems(runs: Sequence[Run]) -> list[str]:

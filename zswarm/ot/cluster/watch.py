@@ -72,19 +72,22 @@ class Watch(msgspec.Struct, eq=False):
             self.say(line)
             self.begin()
         if isinstance(item, Note):
-            own = item.server in standing.own
-            self._met = self._met or bool(item.server and not own)
-            others = bool(options.require) and options.servers != "local"
-            # Slots that were ready before may be again.
-            unready = item.event == RunEvent.SERVER_UNPREPARED and not self._ever_served
-            refused = own and (item.event in REFUSALS or unready)
-            if refused and not others and local is not None and not standing.serving:
-                raise EvaluationError(item.text)
+            self._take_note(item, standing)
         silent = self._met or self.hinted.is_set() or options.servers == "local"
         if not silent and time.monotonic() >= self._begun + PAUSE_S:
             self.hinted.set()
             alone = "; using this machine's slots only" if local is not None else ""
             self.say(f"no server found in realm {options.realm}{alone}; {HINT}")
+
+    def _take_note(self, item: Note, standing: Standing) -> None:
+        own = item.server in standing.own
+        self._met = self._met or bool(item.server and not own)
+        others = bool(self.options.require) and self.options.servers != "local"
+        # Slots that were ready before may be again.
+        unready = item.event == RunEvent.SERVER_UNPREPARED and not self._ever_served
+        refused = own and (item.event in REFUSALS or unready)
+        if refused and not others and self.local is not None and not standing.serving:
+            raise EvaluationError(item.text)
 
     def report(self, item: object, standing: Standing) -> bool:
         """Report what a run waits for; return whether to find out why.

@@ -139,6 +139,14 @@ def _show_study(study: "Forecast", complete: Experiment) -> None:
     tables.entry("disk", f"about {size(study.record_bytes)}")
 
 
+def _budget(complete: Experiment) -> str:
+    return "".join(
+        f", {plural(limit, unit.removesuffix('s'))} in each run"
+        for unit, limit in asdict(complete.study.budget).items()
+        if limit
+    )
+
+
 def study_lines(study: "Forecast", complete: Experiment) -> Iterator[tuple[str, str]]:
     """Yield what a line is about, and its text: once for all runs, or for the settings it is of."""
     from zswarm.ot.study import forecast
@@ -148,12 +156,7 @@ def study_lines(study: "Forecast", complete: Experiment) -> Iterator[tuple[str, 
     settings, runs = plural(len(cells), "setting"), plural(repeat * len(cells), "run")
     yield "study", f"{settings}, each run {times}: {runs}. All settings are possible"
     seeds = f"seed {seed}" if repeat == 1 else f"seeds {seed} to {seed + repeat - 1}"
-    budget = [
-        f", {plural(limit, unit.removesuffix('s'))} in each run"
-        for unit, limit in asdict(complete.study.budget).items()
-        if limit
-    ]
-    yield "experiment", f"{complete.name}: {seeds}{''.join(budget)}"
+    yield "experiment", f"{complete.name}: {seeds}{_budget(complete)}"
     each = [
         dict(lines(one, cell.experiment))
         for cell, one in zip(cells, study.explained, strict=True)

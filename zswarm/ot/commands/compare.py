@@ -1,7 +1,7 @@
 """``zswarm-ot compare``: compare groups of runs, and test whether a difference may be chance."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -77,21 +77,24 @@ def command(
     elif latex:
         write_for_user(Path(latex), latex_tables.tables(found).encode())
     if as_json:
-        values = {
-            **found._asdict(),
-            "of": found.of,
-            "rows": [one._asdict() for one in found.rows],
-            "pairs": [pair.as_object() for pair in found.pairs],
-            "families": [one._asdict() for one in found.families],
-        }
-        explained = found.importance
-        values["importance"] = None if explained is None else explained.as_object()
-        values["friedman"] = None if ranked is None else ranked._asdict()
-        tables.print_json(values)
+        friedman = None if ranked is None else ranked._asdict()
+        tables.print_json(_as_object(found) | {"friedman": friedman})
     elif "-" not in (csv, latex):
         show(found)
         if ranked is not None:
             _show_ranks(ranked)
+
+
+def _as_object(found: "Comparison") -> dict[str, Any]:
+    explained = found.importance
+    return {
+        **found._asdict(),
+        "of": found.of,
+        "rows": [one._asdict() for one in found.rows],
+        "pairs": [pair.as_object() for pair in found.pairs],
+        "families": [one._asdict() for one in found.families],
+        "importance": None if explained is None else explained.as_object(),
+    }
 
 
 def _cells(found: "Comparison") -> tuple[list[str], list[list[object]]]:

@@ -81,6 +81,18 @@ def _show_plugins(found: Sequence[CatalogEntry]) -> None:
         tables.item(name, part.about, f"settings: {settings}")
 
 
+def _cells(row: dict[str, Any]) -> list[str]:
+    at = row["finished_at"]
+    at = time.strftime("%Y-%m-%d %H:%M", time.localtime(at)) if at else ""
+    champion = row["champion"] or {"mean": None}
+    best, held_out = (
+        "" if value is None else per_trial(value, row["trials"])
+        for value in (row["best"], champion["mean"])
+    )
+    history = row["history_hash"][:12] if row["history_hash"] else "not finished"
+    return [row["run"], row["generations"], best, held_out, at, history]
+
+
 def _show_runs(runs: list[dict[str, Any]]) -> None:
     annotated = any(row.get("tags") or row.get("note") for row in runs)
     table = tables.table(
@@ -97,15 +109,7 @@ def _show_runs(runs: list[dict[str, Any]]) -> None:
             blank = [""] if annotated else []
             tables.row(table, row["run"], "", "", "", "", row["error"], *blank)
             continue
-        at = row["finished_at"]
-        at = time.strftime("%Y-%m-%d %H:%M", time.localtime(at)) if at else ""
-        champion = row["champion"] or {"mean": None}
-        best, held_out = (
-            "" if value is None else per_trial(value, row["trials"])
-            for value in (row["best"], champion["mean"])
-        )
-        history = row["history_hash"][:12] if row["history_hash"] else "not finished"
-        cells = [row["run"], row["generations"], best, held_out, at, history]
+        cells = _cells(row)
         if annotated:
             words = filter(None, [", ".join(row["tags"]), row["note"].partition("\n")[0]])
             cells.append(": ".join(words))

@@ -240,6 +240,10 @@ def _show(outcome: StudyOutcome) -> None:
     tables.unit(summary.trials for summary in outcome.settings)
     for ended in outcome.failed:
         tables.line(f"failed  {ended.planned.name}: {ended.error}")
+    _show_next(outcome)
+
+
+def _show_next(outcome: StudyOutcome) -> None:
     runs = f"{outcome.finished} of {plural(outcome.runs, 'run')} finished"
     tables.line(f"{runs}, {duration(outcome.seconds)}")
     tables.line(f"study   {outcome.study}")

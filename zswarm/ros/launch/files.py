@@ -265,11 +265,7 @@ def _check_launch(manifest: LaunchManifest, package: Path) -> None:
         )
 
 
-def _check_manifest(manifest: LaunchManifest) -> None:
-    for what, count in (("sensors", manifest.inputs), ("actuators", manifest.outputs)):
-        names = getattr(manifest, what)
-        if names and len(names) != count:
-            raise ConfigError(f"{what}: expected {count} names or none, not {len(names)}")
+def _check_robots(manifest: LaunchManifest) -> None:
     if manifest.robot is not None and (manifest.inputs < 3 or manifest.outputs != 2):
         raise ConfigError(
             "robot: it has a number for each sector of its scan and 2 for the nearest target, and "
@@ -282,6 +278,14 @@ def _check_manifest(manifest: LaunchManifest) -> None:
         raise ConfigError(
             f"robots: expected a number, or the name of a setting with one, not {robots!r}"
         )
+
+
+def _check_manifest(manifest: LaunchManifest) -> None:
+    for what, count in (("sensors", manifest.inputs), ("actuators", manifest.outputs)):
+        names = getattr(manifest, what)
+        if names and len(names) != count:
+            raise ConfigError(f"{what}: expected {count} names or none, not {len(names)}")
+    _check_robots(manifest)
     program = ", a program with its arguments"
     if manifest.fitness == "command" and not manifest.command:
         raise ConfigError(f"fitness: command: expected the key command{program}")

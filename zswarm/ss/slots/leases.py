@@ -16,9 +16,9 @@ Then its queries are answered with ``lease-lost``, its cached replies are droppe
 become free: an idle one at once, a working one when it has stopped.
 
 A program draws a ``nonce`` for each cluster that it opens, and sends it with every ``Reserve``: the
-same nonce gets the same lease, which is how a program resumes a lease after its link was cut. ``epoch`` is how
-often the run was resumed: ``zswarm-ot resume`` raises it in the record. So the slots of a run that
-another program resumes are taken over, and the first program, if it still lives, is refused with
+same nonce gets the same lease, which is how a program resumes a lease after its link was cut.
+``epoch`` is how often the run was resumed: ``zswarm-ot resume`` raises it in the record. So the
+slots of a run that another program resumes are taken over, and the first program is refused with
 ``superseded`` when it reserves again. It ends if this is a server of its own machine, and otherwise
 if its record confirms the resume (docs/protocol.md, "Life of a lease").
 
