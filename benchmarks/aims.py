@@ -16,6 +16,7 @@ BESIDE_C = (
 )
 
 
+NEAR = 1.1  # a target missed by a smaller factor is reported in percent
 NOISY = ("minisim", "emergency-exit", "arena-foraging", "foraging-physical")
 
 
@@ -57,6 +58,9 @@ class Aim(NamedTuple):
         else:
             by = self.wanted / self.value if self.at_least else self.value / self.wanted
             verdict = f"missed by a factor of {by:.2f}"
+            if by < NEAR:
+                share = abs(self.value - self.wanted) / self.wanted
+                verdict = f"missed by {100 * share:.1f} %"
         return [self.what, wanted, self.written(self.value), verdict]
 
 

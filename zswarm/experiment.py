@@ -98,7 +98,7 @@ class _File(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         str,
         Meta(
             max_length=60,
-            description="name of the setting in tables and figures, in place of what differs",
+            description="name of a study's setting in tables and figures, in place of what differs",
         ),
     ] = ""
 

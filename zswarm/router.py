@@ -43,7 +43,7 @@ class RouterOptions(
 @click.option(
     "--multicast/--no-multicast",
     default=None,
-    help="Be found by multicast.  [default: multicast]",
+    help="Announce this router by multicast.  [default: multicast]",
 )
 @click.option(
     "--require-keys/--no-require-keys",

@@ -134,7 +134,7 @@ def _crossing(results: Results) -> Iterator[Claim]:
         each.compile_s / each.message_s for each in (TABLE_I, constants(results, STOCK))
     )
     yield Claim(
-        "The same with the times measured here",
+        "The same with the times measured here, without TCP_NODELAY",
         "with more than 18 steps",
         f"{_since(here)}; with TCP_NODELAY {_since(nodelay)}",
         here is not None

@@ -35,8 +35,8 @@ class ProblemConfig(
     seeds: Annotated[
         Literal["fixed", "fresh"],
         about(
-            "seeds of the trials: the same for the whole run, or new in each generation, where "
-            "what survives is evaluated again ([noise.md](noise.md#fresh-seeds))"
+            "seeds of the trials: the same for the whole run, or new in each generation; "
+            "survivors are then re-evaluated ([noise.md](noise.md#fresh-seeds))"
         ),
     ] = "fixed"
     settings: Annotated[
@@ -217,7 +217,7 @@ class AssessmentConfig(
         bool,
         about(
             "stop trials of candidates that will hardly survive their generation "
-            "([noise.md](noise.md#racing-inside-a-generation)); the history is another then"
+            "([noise.md](noise.md#racing-inside-a-generation)); this changes the history"
         ),
     ] = False
 

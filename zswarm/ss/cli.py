@@ -14,6 +14,7 @@ CONTEXT = {"help_option_names": ["-h", "--help"]}
 COUNT = click.IntRange(1, 65_535)
 LEVELS = click.Choice(["debug", "info", "warning", "error"])
 FILE = click.Path(path_type=Path)
+CAPACITY = "Number of slots (parallel processes).  [default: one per core]"
 LISTEN = "Endpoint to listen on; may be repeated.  [default: first free port from 7467]"
 LABEL = "What experiments may require or prefer, such as gpu=yes; may be repeated."
 MEMORY = (
@@ -21,7 +22,7 @@ MEMORY = (
 )
 METRICS = "Serve metrics for Prometheus on this port of 127.0.0.1.  [default: none]"
 SIMULATORS = "Simulators to offer.  [default: all installed]"
-KEYS = "Do not start in the clear.  [default: no-require-keys]"
+KEYS = "Refuse to start without keys.  [default: no-require-keys]"
 
 
 def _split(_context: click.Context, _option: click.Parameter, text: str | None) -> Any:
@@ -29,7 +30,7 @@ def _split(_context: click.Context, _option: click.Parameter, text: str | None) 
 
 
 @click.group(invoke_without_command=True, context_settings=CONTEXT)
-@option("--capacity", type=COUNT, help="Simulations at the same time.  [default: cores]")
+@option("--capacity", type=COUNT, help=CAPACITY)
 @option("--name", help="Name shown to optimizers.  [default: the host's name]")
 @option("--realm", help="Serve only optimizers of this realm.  [default: default]")
 @option("--listen", multiple=True, metavar="EP", help=LISTEN)
@@ -37,7 +38,7 @@ def _split(_context: click.Context, _option: click.Parameter, text: str | None) 
 @option(
     "--multicast/--no-multicast",
     default=None,
-    help="Be found by multicast.  [default: yes]",
+    help="Announce this server by multicast.  [default: multicast]",
 )
 @option("--require-keys/--no-require-keys", default=None, help=KEYS)
 @option("--simulators", metavar="A,B", callback=_split, help=SIMULATORS)

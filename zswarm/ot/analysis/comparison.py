@@ -1,4 +1,4 @@
-"""Compare groups of runs: medians and quartiles, and whether a difference may be chance.
+"""Compare groups of runs: medians and quartiles, and test differences for significance.
 
 The size of an effect is Vargha and Delaney's A12 (2000).
 """

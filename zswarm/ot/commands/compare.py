@@ -1,4 +1,4 @@
-"""``zswarm-ot compare``: compare groups of runs, and test whether a difference may be chance."""
+"""``zswarm-ot compare``: compare groups of runs, and test differences for significance."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -44,10 +44,11 @@ def command(
     latex: str | None,
     as_json: bool,
 ) -> None:
-    """Compare runs: median and quartiles of each group, and whether a difference may be chance.
+    """Compare groups of runs, and test differences for significance.
 
-    Runs that differ only in their seed form a group. The tests are Mann-Whitney U with Holm's
-    correction, and Kruskal-Wallis, within each problem; over several problems, Friedman.
+    Shows median and quartiles of each group. Runs that differ only in their seed form a group.
+    The tests are Mann-Whitney U with Holm's correction, and Kruskal-Wallis, within each problem;
+    over several problems, Friedman.
 
     \b
       zswarm-ot compare runs/study --by evaluations

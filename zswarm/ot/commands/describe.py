@@ -23,10 +23,10 @@ NOT = {"repeatable": "trials do not repeat, and servers are not compared"}
 @click.argument("name", metavar="PART", shell_complete=suggestions.parts)
 @options.json_option
 def command(name: str, as_json: bool) -> None:
-    """Explain a part of experiments, with its settings.
+    """Describe a simulator, representation, optimizer or ranking.
 
-    A part is a simulator, representation, optimizer or ranking; "zswarm-ot list" names them. If
-    several parts have the name, all of them are explained.
+    Shows its settings. "zswarm-ot list" names these parts. If several parts have the name, all of
+    them are described.
 
     \b
       zswarm-ot describe nnga

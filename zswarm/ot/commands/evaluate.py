@@ -1,4 +1,4 @@
-"""``zswarm-ot evaluate``: play a champion on seeds that it was not evolved on."""
+"""``zswarm-ot evaluate``: evaluate a champion on seeds that evolution did not use."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,12 +33,12 @@ LABEL = 16  # columns
     type=options.TRIALS,
     default=100,
     show_default=True,
-    help="Trials to play.",
+    help="Number of trials.",
 )
 @click.option(
     "--seed",
     type=click.IntRange(0, 2**63 - 1),
-    help="Seed of the trials.  [default: one that evolution did not use]",
+    help="Number from which the held-out seeds are derived.  [default: 0]",
 )
 @click.option(
     "--against",
@@ -63,13 +63,14 @@ def command(
     as_json: bool,
     **cluster: Any,
 ) -> None:
-    """Play a run's champion on held-out seeds, or the champions of all runs of a study.
+    """Evaluate a run's champion, or those of all runs of a study, on held-out seeds.
 
-    Shows how good it is on trials that it was not evolved on: that is what counts. In a game it
-    plays another champion, from each side in turn.
+    Evolution did not use these seeds, so the result is not biased by selection. In a game the
+    champion plays another champion, from each side in turn.
 
-    The champions of a study play the same seeds, on this machine and on servers. What they did is
-    kept in the runs' folders; compare and plot use it: --measure fitness, or a metric.
+    The champions of a study have the same seeds. The results are kept in the runs' folders;
+    compare and plot use them: --measure fitness, or a metric. --servers to --max-slots are only
+    for a study: a single run is evaluated on this machine.
 
     \b
       zswarm-ot evaluate runs/minisim

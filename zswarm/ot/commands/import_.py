@@ -19,7 +19,7 @@ MENU = ("Results", 9)
 )
 @options.json_option
 def command(path: Path, out: Path, overrides: tuple[str, ...], as_json: bool) -> None:
-    """Make a run's folder from a result of FREVO, or from a controller of ARGoS.
+    """Import a FREVO result or an ARGoS controller as a run.
 
     FREVO: a file .zre with fully-meshed nets for Emergency Exit. ARGoS: an e-puck's controller as
     ARGoS3-NEAT's genome, also EvoStick's, or AutoMoDe-Chocolate's machine.

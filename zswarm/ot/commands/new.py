@@ -23,7 +23,7 @@ FILES = (".md", ".py", ".toml")
 
 @click.group("new")
 def command() -> None:
-    """Begin a package of your own."""
+    """Create a plug-in package."""
 
 
 @command.command()

@@ -34,7 +34,7 @@ PAPER = "Table I of the paper"
 @click.option(
     "--table1",
     is_flag=True,
-    help="Use the times that the paper measured (its Table I) instead of measuring.",
+    help="Use the times of Table I of the CPSwarm paper instead of measuring.",
 )
 @options.json_option
 def command(
@@ -49,8 +49,8 @@ def command(
 
     A few seconds of trials and messages on the available servers show how long each of them
     takes. From that a model calculates the time of the whole run, its messages, and the number of
-    slots beyond which nothing is gained. The designs of the paper that zswarm follows are predicted
-    as well.
+    slots beyond which nothing is gained. Also predicts the two designs measured in the CPSwarm
+    paper (docs/paper.md).
 
     \b
       zswarm-ot predict minisim

@@ -45,7 +45,7 @@ SEARCHER, SEARCH_S = (
     "--repeat",
     type=click.IntRange(1, MAX_RUNS),
     metavar="N",
-    help="Runs of each setting, with the seeds SEED, SEED + 1, ...; they share the servers.",
+    help="Repeat the run, or each setting of a study, with the seeds SEED, SEED + 1, ...",
 )
 @options.cluster_options
 @options.out_option
@@ -77,7 +77,7 @@ def command(
       zswarm-ot run my.toml --servers local
 
     Servers are found automatically. Ctrl-C stops the run; nothing is lost, and "zswarm-ot resume
-    RUN" continues it. Afterwards "zswarm-ot evaluate RUN" plays the champion on held-out seeds.
+    RUN" continues it. Afterwards "zswarm-ot evaluate RUN" tests the champion on held-out seeds.
     """
     from zswarm.ot.commands.shared import detaching
 

@@ -35,11 +35,11 @@ FIRST = ("running", "paused", "stopping")
 )
 @options.json_option
 def command(folder: Path, as_json: bool) -> None:
-    """Show how far runs are, those in progress first.
+    """Show the progress of runs, the active ones first.
 
     Shows the runs below a folder ("runs" by default), also those that run detached, in other
-    terminals, or on other machines that share the folder: generation, best fitness, and the time
-    that is left; and how many runs of each study have begun and finished.
+    terminals, or on other machines that share the folder: generation, best fitness, and remaining
+    time; and how many runs of each study have begun and finished.
 
     \b
       zswarm-ot status

@@ -13,15 +13,19 @@ PROFILES: dict[LinkKind, str] = {
     "rclpy": "stage_ros2",
     "zenoh": "stage_ros2",
 }
-LINK = "own: zenoh: ROS 2 as rmw_zenoh speaks it, without ROS here; rclpy: ROS 2; rospy: ROS 1"
-PROFILE = "own: a bundled profile; empty: stageros for rospy, else stage_ros2"
+LINK = (
+    'with `simulation = "own"`: zenoh: ROS 2 by the protocol of rmw_zenoh, needs no ROS '
+    "installation; rclpy: ROS 2; rospy: ROS 1"
+)
+PROFILE = 'with `simulation = "own"`: a bundled profile; empty: stageros for rospy, else stage_ros2'
 SIMULATION = "own: each slot starts a simulation node; else the name of a server's file"
 MODE = "lock-step: waits for the robots; free-running: does not wait, is not repeatable"
 MISSED = "share of a trial's steps without a decision above which it is a fault"
 REPEATABLE = (
-    "a server's file and lock-step: the same simulation on all servers; they are compared"
+    "with a server's file and lock-step: the same simulation on all servers, which are "
+    "compared"
 )
-RATE = "own and free-running: speed as a multiple of real time"
+RATE = 'with `simulation = "own"` and free-running: speed as a multiple of real time'
 
 
 class RosSettings(
