@@ -20,6 +20,11 @@ class Proxy:
     Args:
         rate: bytes/s of each direction of a connection.
         delay_s: that all bytes are later there.
+
+    Attributes:
+        connections: on which something was sent: not those that only find out who listens.
+        there: bytes forwarded to the target.
+        back: bytes forwarded from it.
     """
 
     def __init__(
@@ -31,8 +36,7 @@ class Proxy:
         # Inherited by what it accepts.
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
         self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
-        self.connections = 0
-        self.there, self.back = 0, 0  # bytes forwarded to the target, and from it
+        self.connections, self.there, self.back = 0, 0, 0
         self._sockets: list[socket.socket] = []
         self._lock = threading.Lock()
         self._closed = False
@@ -76,7 +80,6 @@ class Proxy:
                 continue
             with self._lock:
                 self._sockets += [near, far]
-            self.connections += 1
             threading.Thread(target=self._forward, args=(near, far), daemon=True).start()
             threading.Thread(
                 target=self._forward, args=(far, near), kwargs={"back": True}, daemon=True
@@ -90,8 +93,12 @@ class Proxy:
         if self._delay_s:
             writer.start()
         due = time.monotonic()
+        used = back
         with contextlib.suppress(OSError):
             while data := source.recv(CHUNK):
+                if not used:
+                    self.connections += 1
+                    used = True
                 if self._delay_s:
                     late.put((time.monotonic() + self._delay_s, data))
                 else:
