@@ -276,6 +276,21 @@ def test_a_server_that_refuses_to_be_reserved_is_not_used(code: str) -> None:
     assert verbs(optimizer.feed(Seen("a"))) == [("a", "offer")]
 
 
+def test_a_server_with_as_many_leases_as_it_may_have_is_asked_again_later() -> None:
+    optimizer = Optimizer()
+    (ask,) = optimizer.feed(Seen("a"))
+    full = Refused(code="busy", reason="there are 1024 leases here")
+    for noted in (1, 0):
+        (ask,) = optimizer.answer(ask, offer())
+        assert optimizer.answer(ask, full) == []
+        assert len(optimizer.notes("server_refused")) == noted
+        (ask,) = optimizer.wait(BACK_OFF_S)
+        assert verbs([ask]) == [("a", "offer")]
+    (ask,) = optimizer.answer(ask, offer())
+    optimizer.answer(ask, lease("a", 1))
+    assert sorted(optimizer.dispatch.servers.roster.ready) == ["a"]
+
+
 def test_a_lease_that_cannot_be_prepared_is_given_back() -> None:
     optimizer = Optimizer()
     (ask,) = optimizer.feed(Seen("a"))

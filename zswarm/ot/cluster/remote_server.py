@@ -15,10 +15,10 @@ LEASED      granted a lease, which is renewed; it  its token vanishes (LEAVING),
 LEAVING     has no token any more: it drains or    its token is back (LEASED), or none of its
             died, or the link is cut               batches is out (IDLE)
 BACKED_OFF  is not asked for a while: it did not   the pause is over, or its token appears
-            answer, ended the lease, failed too    (SEEN)
-            many trials, cannot get ready now,
-            sent what cannot be handled, or its
-            probe is disputed
+            answer, has too many leases, ended     (SEEN)
+            this one, failed too many trials,
+            cannot get ready now, sent what cannot
+            be handled, or its probe is disputed
 BANNED      computes wrong outcomes                never
 ==========  =====================================  =============================================
 

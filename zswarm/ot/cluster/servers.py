@@ -245,7 +245,6 @@ class Servers(msgspec.Struct, eq=False):
 
     def _granted(self, server: RemoteServer, lease: Lease, verb: Verb) -> None:
         was_ready, again_s = server.ready, server.granted(lease)
-        ready = server.ready
         self.roster.update(server)
         self.allotment.granted(server)
         if lease.state == "failed" and lease.passing:
@@ -256,8 +255,7 @@ class Servers(msgspec.Struct, eq=False):
             return
         if server.phase == Phase.RESERVING:
             self._move(server, Phase.LEASED)
-            state = RunEvent(f"lease_{lease.state}")
-            self.out.note(state, server.id, count=server.slots)
+            self.out.note(RunEvent(f"lease_{lease.state}"), server.id, count=server.slots)
         if lease.probe:
             server.probe = lease.probe
             if server.differs_at(self.probe) is not None:
@@ -267,13 +265,13 @@ class Servers(msgspec.Struct, eq=False):
         if not server.pace.trial_s:
             server.pace.trial_s = lease.trial_s
         self.ask_by(server, server.asked_at + RENEW_S)
-        if ready != was_ready:
+        if server.ready != was_ready:
             self.changed[server.id] = server
             event = RunEvent.SERVER_SLOTS if was_ready else RunEvent.SERVER_JOINED
             joined = "" if was_ready else server.machine
-            self.out.note(event, server.id, count=ready, machine=joined)
+            self.out.note(event, server.id, count=server.ready, machine=joined)
             self.machines.use(server.id, server.machine)
-        if ready < min(server.wanted, server.capacity):
+        if server.ready < min(server.wanted, server.capacity):
             # The server answers when more slots are ready, or after a while.
             again_at = server.asked_at + again_s
             if verb == "reserve" or again_at <= self.out.now:
@@ -288,7 +286,9 @@ class Servers(msgspec.Struct, eq=False):
         elif server.phase == Phase.LEASED:
             self.drop(server, RunEvent.SERVER_REFUSED, refused.reason)
         else:
-            self._move(server, Phase.IDLE)
+            full = refused.code == "busy"  # it has as many leases as it may
+            to = Phase.BACKED_OFF if full else Phase.IDLE
+            self.end(server, to, again_s=BACK_OFF_S if full else math.inf)
             if not (taken_over and server.own):
                 self._note_once(RunEvent.SERVER_REFUSED, server, refused.reason)
         if taken_over and server.own:
