@@ -38,7 +38,7 @@ sims.toolbox:       kernels
 experiment:         BASE plugins protocol
 evaluate:           BASE kernels nets plugins protocol sims
 probe:              evaluate kernels nets protocol sims
-champion:         BASE nets plugins sims
+champion:           BASE nets plugins sims
 security:           BASE protocol
 session:            errors protocol security system
 daemon:             BASE security session
@@ -54,16 +54,18 @@ ot.cluster:         BASE experiment nets ot.evaluator ot.notes ot.problem ot.wor
                     protocol security session sims
 ot.commands:        BASE champion experiment kernels ot.build ot.evolution ot.analysis
                     ot.cluster ot.commands.shared ot.dashboard ot.display ot.doctor ot.estimate
-                    ot.record ot.replay ot.report ot.study plugins protocol robots robots.c
-ot.commands.shared: BASE champion evaluate experiment ot.evolution ot.logger ot.problem
-                    ot.cluster ot.record ot.study nets plugins protocol robots
-                    robots.argos security session
+                    ot.importing ot.record ot.replay ot.report ot.study plugins protocol robots
+                    robots.c
+ot.commands.shared: BASE experiment ot.evolution ot.logger ot.cluster ot.study plugins protocol
+                    robots security session
 ot.dashboard:       BASE champion experiment ot.assessment.amount ot.notes ot.analysis
                     ot.record plugins
 ot.display:         BASE champion ot.logger
 ot.doctor:          BASE kernels ot.cluster ot.record plugins protocol security session
 ot.estimate:        BASE evaluate experiment ot.build ot.notes ot.problem ot.assessment ot.cluster
                     ot.optimizers ot.rankings ot.record plugins sims
+ot.importing:       BASE champion evaluate experiment nets ot.problem ot.record plugins protocol
+                    robots.argos
 ot.optimizers:      BASE kernels nets
 ot.rankings:        BASE
 ot.record:          BASE champion experiment ot.logger ot.notes ot.workload ot.cluster

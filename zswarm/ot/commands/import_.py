@@ -28,9 +28,9 @@ def command(path: Path, out: Path, overrides: tuple[str, ...], as_json: bool) ->
       zswarm-ot import "Emergency Exit_g199 (0.46).zre"
       zswarm-ot import gen_last_1_champ --set problem.settings.mission=foraging
     """
-    from zswarm.ot.commands.shared import import_file, imported
+    from zswarm.ot.importing import by_content, imported
 
-    result = import_file.load(path, overrides)
+    result = by_content.load(path, overrides)
     made = imported.record(result, out)
     fitness, shown = made.champion.fitness, made.champion.in_search()
     if as_json:

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from zswarm.errors import ConfigError
-from zswarm.ot.commands.shared import argos, frevo
-from zswarm.ot.commands.shared.imported import ImportedFile
+from zswarm.ot.importing import argos, frevo
+from zswarm.ot.importing.imported import ImportedFile
 from zswarm.system.text import clean
 
 MAX_BYTES = 64 << 20

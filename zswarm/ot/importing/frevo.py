@@ -12,8 +12,8 @@ import numpy as np
 
 from zswarm import experiment
 from zswarm.errors import ConfigError
-from zswarm.ot.commands.shared import frevo_file as file
-from zswarm.ot.commands.shared.imported import ImportedFile
+from zswarm.ot.importing import frevo_file as file
+from zswarm.ot.importing.imported import ImportedFile
 from zswarm.ot.problem import Problem
 from zswarm.protocol import keys
 from zswarm.system.text import clean

@@ -14,13 +14,13 @@ from click.testing import CliRunner
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from tests.ot.commands.shared import zre
+from tests.ot.importing import zre
 from zswarm import evaluate
 from zswarm.errors import ConfigError
 from zswarm.nets.fully_meshed import FullyMeshed
 from zswarm.ot.commands.import_ import command as import_command
-from zswarm.ot.commands.shared import frevo_file, import_file, imported
-from zswarm.ot.commands.shared.imported import Imported
+from zswarm.ot.importing import by_content, frevo_file, imported
+from zswarm.ot.importing.imported import Imported
 from zswarm.ot.problem import Problem
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.writer import Record
@@ -39,13 +39,13 @@ def write(
 
 
 def import_(folder: Path, content: str) -> Imported:
-    return imported.record(import_file.load(write(folder, content)), folder / "runs")
+    return imported.record(by_content.load(write(folder, content)), folder / "runs")
 
 
 def refusal(folder: Path, content: str | bytes) -> str:
     """Why a file is not imported, in one line that is safe to show."""
     with pytest.raises(ConfigError) as caught:
-        import_file.load(write(folder, content))
+        by_content.load(write(folder, content))
     assert str(caught.value).isprintable()
     return str(caught.value).partition(".zre: ")[2]
 
@@ -83,7 +83,7 @@ def test_a_population_that_frevo_ranked_is_imported_with_every_bit(
 def test_every_imported_network_has_the_fitness_that_frevo_recorded(
     tmp_path: Path,
 ) -> None:
-    result = import_file.load(write(tmp_path, FILE))
+    result = by_content.load(write(tmp_path, FILE))
     problem = Problem(result.experiment)
     work = problem.workload(result.genomes, 0)
     played = evaluate.evaluate(
@@ -105,7 +105,7 @@ def test_a_recorded_net_decides_after_its_import_as_in_frevo(
 ) -> None:
     written = zre.net(net["weights_into"], net["bias"], -1.0, net["activation"])
     iterations = str(net["iterations"])
-    result = import_file.load(
+    result = by_content.load(
         write(
             tmp_path,
             zre.text(
@@ -173,7 +173,7 @@ def test_settings_are_imported(tmp_path: Path) -> None:
         },
         representation={"iterations": "3"},
     )
-    read = import_file.load(write(tmp_path, content)).experiment
+    read = by_content.load(write(tmp_path, content)).experiment
     assert (read.name, read.seed, read.generations, read.problem.trials) == (
         "b-se-r-ume-2",
         77,
@@ -212,7 +212,7 @@ def test_settings_are_imported(tmp_path: Path) -> None:
 
 
 def test_a_file_of_another_method_names_it(tmp_path: Path) -> None:
-    result = import_file.load(write(tmp_path, ONE.replace("nnga.NNGA", "CEA2D.CEA2D")))
+    result = by_content.load(write(tmp_path, ONE.replace("nnga.NNGA", "CEA2D.CEA2D")))
     assert result.notes == [
         "zswarm does not have the method 'CEA2D.CEA2D': experiment.toml names nnga, with its "
         "default settings"
@@ -224,8 +224,8 @@ def test_a_file_of_another_method_names_it(tmp_path: Path) -> None:
 def test_missing_settings_have_frevos_defaults(tmp_path: Path) -> None:
     bare = "\n".join(line for line in ONE.splitlines() if "entry" not in line)
     assert (
-        import_file.load(write(tmp_path, bare)).experiment
-        == import_file.load(write(tmp_path, ONE.replace("DEFAULT", "frevo"))).experiment
+        by_content.load(write(tmp_path, bare)).experiment
+        == by_content.load(write(tmp_path, ONE.replace("DEFAULT", "frevo"))).experiment
     )
 
 
@@ -475,12 +475,12 @@ def test_a_truncated_file_is_refused(tmp_path: Path, share: float) -> None:
 def test_a_file_that_is_too_large_is_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(import_file, "MAX_BYTES", 1 << 20)
+    monkeypatch.setattr(by_content, "MAX_BYTES", 1 << 20)
     path = write(tmp_path, "")
     with path.open("wb") as file:
         file.truncate(10 << 30)
     with pytest.raises(ConfigError, match="too large: expected at most 1 MiB"):
-        import_file.load(path)
+        by_content.load(path)
 
 
 @pytest.mark.parametrize(
@@ -489,7 +489,7 @@ def test_a_file_that_is_too_large_is_not_read(
 def test_a_path_that_cannot_be_read_is_named(tmp_path: Path, name: str) -> None:
     write(tmp_path, "", "file")
     with pytest.raises(ConfigError, match="cannot be read") as caught:
-        import_file.load(tmp_path / name)
+        by_content.load(tmp_path / name)
     assert str(caught.value).isprintable()
 
 
@@ -505,7 +505,7 @@ def test_a_damaged_file_is_imported_or_refused(
     body = ONE.encode()
     path = write(tmp_path, body[:place] + put + body[place + lost :])
     try:
-        found = import_file.load(path).source
+        found = by_content.load(path).source
     except ConfigError as error:
         found = str(error)
     assert found.isprintable()

@@ -9,7 +9,7 @@ import numpy as np
 from zswarm import experiment
 from zswarm.errors import ConfigError
 from zswarm.nets.chocolate import encoded
-from zswarm.ot.commands.shared.imported import ImportedFile, play
+from zswarm.ot.importing.imported import ImportedFile, play
 from zswarm.ot.problem import Problem
 from zswarm.protocol import keys
 from zswarm.robots.argos import genome, machine
