@@ -69,7 +69,9 @@ def findings(simulator_class: type) -> list[UnportableLine]:
     sources, seen, found = {source.name: source}, set(waiting), set[UnportableLine]()
     while waiting:
         module, name = waiting.pop()
-        source = sources.setdefault(module, _Source(module))
+        if module not in sources:
+            sources[module] = _Source(module)
+        source = sources[module]
         for node in source.defined.get(name, ()):
             found.update(_Reader(source, node).findings())
         more = {

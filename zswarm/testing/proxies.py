@@ -191,7 +191,8 @@ class CheckedSimulator(Simulator):
         return f"{bodies} bodies ({shapes:.60}), {lines} lines and {rays} rays"
 
     def _checked(self, turn: Turn, kinds: str) -> Turn:
-        require(isinstance(turn, Turn), f" must return {kinds}, not {turn!r:.80}")
+        if not isinstance(turn, Turn):
+            raise BrokenRule(f" must return {kinds}, not {turn!r:.80}")
         agents, observations = list(turn.agents), turn.observations
         require(agents, ": a turn must name an agent; return None when the trial is over")
         require(
