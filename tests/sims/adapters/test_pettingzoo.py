@@ -31,12 +31,12 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     (
         "simple_v3",
         {"max_cycles": 10},
-        {"generations": 20, "trials": 8, "search": True},
+        {"generations": 16, "trials": 5, "search": True, "others": 10},
     ),
     (
         "simple_spread_v3",
         {"local_ratio": 0.0, "max_cycles": 15},
-        {"generations": 12, "trials": 4},
+        {"generations": 12, "trials": 3, "runs": 4, "others": 12},
     ),
     ("simple_formation_v1", {}, {"generations": 5, "runs": 3, "others": 12}),
     (
@@ -110,7 +110,10 @@ def test_evolution_is_better_than_random_on_seeds_it_never_saw(
     ("environment", "effort"),
     [
         ("CartPole-v1", {"generations": 5, "runs": 3, "others": 12}),
-        ("Acrobot-v1", {"generations": 4, "runs": 3, "others": 12}),
+        (
+            "Acrobot-v1",
+            {"generations": 4, "runs": 3, "trials": 2, "unseen": 5, "others": 9},
+        ),
         ("Pendulum-v1", {"generations": 6, "runs": 4}),
     ],
 )

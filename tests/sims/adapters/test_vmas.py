@@ -44,13 +44,13 @@ def test_a_scenario_keeps_the_contract(scenario: str) -> None:
 @pytest.mark.parametrize(
     ("scenario", "options", "steps", "effort"),
     [
-        ("simple", {}, 30, {"generations": 20, "trials": 3}),
+        ("simple", {}, 30, {"generations": 10, "trials": 2}),
         ("circle_trajectory", {}, 20, {"generations": 8, "trials": 2}),
         (
             "navigation",
             {"n_agents": 2, "collisions": False},
             30,
-            {"generations": 12, "trials": 2},
+            {"generations": 9, "trials": 2},
         ),
     ],
 )
