@@ -125,6 +125,7 @@ def main(
     for module in PRELOADED[2:]:  # loaded already unless the fork server could not
         importlib.import_module(module)
     gc.freeze()
+    gc.enable()
     process = SlotProcess(slot, memory_mb, pipe, progress)
     shared_memory.watch(process.on_shared_memory)
     with contextlib.suppress(EOFError, OSError):
