@@ -67,7 +67,7 @@ def test_each_beats_random_search_at_equal_evaluations(name: str) -> None:
     """Random search has as many or some more, of the same genomes."""
     example, evaluations = NAMED[name]
     found, chance = [], []
-    for seed in range(10):
+    for seed in range(8):
         fitness, told = evolved(example, [f"seed={seed}"], evaluations)
         found.append(fitness)
         chance.append(by_chance(example, seed, told))
@@ -78,7 +78,7 @@ def test_each_beats_random_search_at_equal_evaluations(name: str) -> None:
 def test_novelty_finds_the_way_round_where_fitness_leads_behind_a_wall() -> None:
     """The goal is reached with fitness above 1; breeding for nearness or chance does not."""
     example, evaluations = NAMED["novelty"]
-    seeds = range(6)
+    seeds = range(5)
     found = [best(example, [f"seed={seed}"]) for seed in seeds]
     bred = [
         best(
@@ -89,7 +89,7 @@ def test_novelty_finds_the_way_round_where_fitness_leads_behind_a_wall() -> None
         for seed in seeds
     ]
     chance = [by_chance(example, seed, evaluations) for seed in seeds]
-    assert sum(fitness >= 1.0 for fitness in found) >= 5
+    assert sum(fitness >= 1.0 for fitness in found) >= 4
     assert sum(fitness >= 1.0 for fitness in bred) <= 1
     assert mannwhitneyu(found, bred, alternative="greater").pvalue < 0.01
     assert mannwhitneyu(found, chance, alternative="greater").pvalue < 0.01
