@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 
 import pytest
@@ -23,6 +24,10 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 # Scripts of tests, too: zswarm's programs do so themselves.
 os.environ.update(ONE_THREAD)
+
+# Where servers have their sockets: tests that run at the same time see none of each other's.
+SOCKETS = tempfile.TemporaryDirectory(prefix="zswarm-")
+os.environ["RUNTIME_DIRECTORY"] = SOCKETS.name
 
 # When checks no longer begin a test (.ci/run), in seconds since 1970.
 CHECKS_END = float(os.environ.get("CHECKS_END", "inf"))

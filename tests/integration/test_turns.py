@@ -35,7 +35,10 @@ kind = "hebbian"
 kind = "nnga"
 population = 10
 """
-SMALL = {"emergency-exit": "{agents = 4, steps = 20}", "minisim": "{steps = 40, robots = 3}"}
+SMALL = {
+    "emergency-exit": "{agents = 4, steps = 20}",
+    "minisim": "{steps = 40, robots = 3}",
+}
 COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 ASKED = '--set=cluster.controller="optimizer"'
 EACH_AGENT = '--set=cluster.messages="agent"'
