@@ -47,7 +47,7 @@ NOT_RUN: dict[tuple[str, str], tuple[str, str]] = {
     ): (INSTALLS, ".ci/run"),
     ("commands.md", '$ zswarm-ot import "Emergency Exit_g199 (0.46).zre"'): (
         "needs a file of FREVO's",
-        "tests/ot/commands/shared/test_frevo.py",
+        "tests/ot/importing/test_frevo.py",
     ),
     (
         "commands.md",
