@@ -40,6 +40,11 @@ repeat = 2
 EXAMPLES = playable(
     sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
 )
+SOME = {
+    "minisim",
+    "stadium",
+    "xor",
+}  # of them, with ``make test``; all with ``make long``
 
 
 def complete(name: str, *overrides: str) -> experiment.Experiment:
@@ -185,7 +190,13 @@ def test_no_more_settings_are_played_than_a_moment_allows(
     assert len({one["trial_s"] for one in told["settings"]}) == 1
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        name if name in SOME else pytest.param(name, marks=pytest.mark.long)
+        for name in EXAMPLES
+    ],
+)
 def test_examples_have_no_likely_mistakes(name: str) -> None:
     """An example has no warning, whatever its genomes; the stadium has one trial for all seeds."""
     told = check(name)
