@@ -35,6 +35,7 @@ const Seconds FORGIVEN(0.5);  // of delay that is made up for; of a longer one n
 const double FIRST = 2, SLOWEST = 0.5, FASTEST = 100;  // times real time, with auto
 const double SLACK = 2;                                // a step takes so many times an answer
 const size_t REMEMBERED = 100;                         // steps with answers
+const size_t ENOUGH = 10;                              // of them, before it is faster than FIRST
 const size_t PAUSE = 5;                                // steps without an answer: no trial is played
 const double TOLD = 1.25;                              // a change of the rate by this factor
 
@@ -60,7 +61,8 @@ class Pace {
         if (slowest.empty())
             return FIRST;
         const double answer = std::max(*std::max_element(slowest.begin(), slowest.end()), 1e-6);
-        const double rate = std::min(std::max(step_us / 1e6 / (SLACK * answer), SLOWEST), FASTEST);
+        const double most = slowest.size() < ENOUGH ? FIRST : FASTEST;
+        const double rate = std::min(std::max(step_us / 1e6 / (SLACK * answer), SLOWEST), most);
         if (std::abs(std::log(rate / told)) > std::log(TOLD)) {
             told = rate;
             std::printf("throttle: %.2g times real time: robots answer within %.2g s\n", rate, answer);
@@ -91,14 +93,18 @@ class Pace {
         unanswered.push_back(Clock::now());
     }
 
-    // The first velocity of a step answers the oldest step since the last one; others are later.
+    // The first velocity of a step answers the oldest step since the last one; others are later. The
+    // one that ends a pause may answer any step.
     void answered() {
         const std::lock_guard<std::mutex> lock(mutex);
         const Clock::time_point now = Clock::now();
-        if (!unanswered.empty()) {
+        if (paused) {
+            paused = false;
+            since = now;
+            unanswered.clear();
+        } else if (!unanswered.empty()) {
             since = unanswered.front();
             unanswered.clear();
-            paused = false;
             slowest.push_back(0);
             if (slowest.size() > REMEMBERED)
                 slowest.pop_front();
