@@ -31,7 +31,7 @@ AGREEMENT = (
 EXPERIMENT = """
 name = "stage"
 seed = 5
-generations = 10
+generations = 20
 [problem]
 simulator = "turtlebot-exit-ros"
 [problem.settings]
@@ -143,7 +143,7 @@ def run(folder: Path, *capacities: int, kill: bool = False) -> dict[str, Any]:
     # The other server may have the trial's result first: then the slot is told to stop, and cannot.
     told = "it did not stop in time"
     assert all("simulation" in reason or reason == told for reason in died), died
-    assert query(folder / "runs" / "stage", "SELECT count(*) FROM generations") == [(10,)]
+    assert query(folder / "runs" / "stage", "SELECT count(*) FROM generations") == [(20,)]
     started = [Path("/proc", pid) for pid in (folder / "started").read_text().split()]
     wait_until(
         lambda: not any(map(Path.exists, started)),
@@ -156,7 +156,7 @@ def wait_for_outcomes(optimizer: Optimizer, folder: Path) -> None:
     record = folder / "runs" / "stage"
     wait_until(
         lambda: (
-            len(query(record, "SELECT 1 FROM outcomes")) > 20
+            len(query(record, "SELECT 1 FROM outcomes")) > 8
             or optimizer.process.poll() is not None
         ),
         "some are there",
