@@ -1,12 +1,13 @@
 """Runs as other tools read them: with TensorBoard's own format, MLflow and Weights & Biases."""
 
 import struct
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
 from tests.ot.invented_record import written
 from zswarm.errors import ConfigError
@@ -108,9 +109,12 @@ def test_mlflow_reads_what_was_written(tmp_path: Path) -> None:
 def test_wandb_reads_what_was_written_offline(tmp_path: Path) -> None:
     from wandb.proto import wandb_internal_pb2
 
-    done = CliRunner().invoke(
-        command,
+    # wandb's own process has written everything when the program ends.
+    done = subprocess.run(
         [
+            sys.executable,
+            "-m",
+            "zswarm.ot",
             "convert",
             str(study(tmp_path)),
             "--to",
@@ -118,7 +122,9 @@ def test_wandb_reads_what_was_written_offline(tmp_path: Path) -> None:
             "--out",
             str(tmp_path / "out"),
         ],
-        catch_exceptions=False,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert "2 runs for wandb" in done.stdout
     files = sorted((tmp_path / "out" / "wandb").glob("offline-run-*/*.wandb"))
