@@ -8,7 +8,7 @@ import pytest
 from .planted import PLANTED
 from .schedule import play
 
-SCHEDULES, SOME, CHUNK = 1000, 50, 50  # with ``make long``; with ``make test``
+SCHEDULES, SOME, CHUNK = 1000, 25, 25  # with ``make long``; with ``make test``
 FOUND_WITHIN = 100  # schedules, a planted bug
 # Bugs that only a few schedules show: with ``make long``.
 RARE = {
