@@ -40,11 +40,7 @@ repeat = 2
 EXAMPLES = playable(
     sorted(path.stem for path in experiment.examples_folder().glob("*.toml"))
 )
-SOME = {
-    "minisim",
-    "stadium",
-    "xor",
-}  # of them, with ``make test``; all with ``make long``
+SOME = {"minisim", "stadium", "xor"}  # of them, with ``make test``; others: ``make long``
 
 
 def complete(name: str, *overrides: str) -> experiment.Experiment:
