@@ -8,7 +8,7 @@ KILLS ?= 200
 THIRD_PARTY ?= ../shared/third-party
 unexport PYTHONDONTWRITEBYTECODE  # each program would compile again all that it imports
 
-.PHONY: environment run test long attacks fuzz programs product vmas browser robots rest chaos faults machines units kills stage bits-everywhere lint format docs docs-commands reference bench bench-quick bench-methods bench-noise benchmarks paper scale soak clean
+.PHONY: environment run test long thorough attacks fuzz programs product vmas browser robots rest chaos faults machines units kills stage bits-everywhere lint format docs docs-commands reference bench bench-quick bench-methods bench-noise benchmarks paper scale soak clean
 
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
@@ -18,6 +18,10 @@ test: $(READY)
 
 long: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m long $(ARGS)
+
+# The same once more with much more of it, before a release: an hour of computing.
+thorough: $(READY)
+	$(BIN)/python -m pytest $(TESTS) -m thorough $(ARGS)
 
 # Attacks on the real programs, on loopback.
 attacks: $(READY)

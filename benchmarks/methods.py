@@ -74,7 +74,7 @@ def main() -> None:
     parser.add_argument(
         "--quick",
         action="store_true",
-        help="one seed, a hundred evaluations: whether it works",
+        help="one seed, thirty evaluations: whether it works",
     )
     parser.add_argument(
         "--folder", type=Path, help="where the results go [default: build/bench]"
@@ -85,7 +85,7 @@ def main() -> None:
     names = options.only.split(",") if options.only else methods()
     seeds = 1 if options.quick else options.seeds
     runs = [
-        Run(task, method, seed, 100 if options.quick else TASKS[task].evaluations)
+        Run(task, method, seed, 30 if options.quick else TASKS[task].evaluations)
         for task in TASKS
         for method in names
         for seed in range(1, seeds + 1)

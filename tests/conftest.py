@@ -4,6 +4,7 @@ import contextlib
 import gc
 import itertools
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -72,6 +73,8 @@ LONGEST = [
     "tests/integration/test_every_part.py::test_every_part_survives",
     "tests/integration/test_mixed.py",
 ]
+# Tests that import pyribs, and with it pandas and scikit-learn: several seconds of a worker.
+ARCHIVES = re.compile(r"cma-me|map-elites|elites\.py")
 
 
 def pytest_collection_modifyitems(
@@ -80,12 +83,17 @@ def pytest_collection_modifyitems(
     """Give each worker its part of the longest tests first, and then neighbours.
 
     xdist gives each worker an equal share of the list, and one that has nothing left to do takes
-    what is at the end of another's.
+    what is at the end of another's. Tests that import the same large package are neighbours.
     """
     workers = getattr(config, "workerinput", {}).get("workercount", 1)
     longest = [item for part in LONGEST for item in items if item.nodeid.startswith(part)]
     chosen = {id(item) for item in longest}
-    others = iter([item for item in items if id(item) not in chosen])
+    others = iter(
+        sorted(
+            (item for item in items if id(item) not in chosen),
+            key=lambda item: not ARCHIVES.search(item.nodeid),
+        )
+    )
     left, shares = len(items), list[pytest.Item]()
     for worker in range(workers):
         size = left // (workers - worker)

@@ -196,6 +196,7 @@ def test_the_readme_has_the_medians_of_the_measured_tools(
     assert page.beside(results, before) == after
 
 
+@pytest.mark.benchmarks
 def test_charts_are_drawn_for_measured_parts_only(
     page: ModuleType, results: dict[str, Any], tmp_path: Path
 ) -> None:
@@ -224,6 +225,7 @@ def test_a_value_of_zero_is_missed_by_no_factor() -> None:
     assert load("aims").Aim("key", "what", 0.6, True, 0.0).row[-1] == "missed"
 
 
+@pytest.mark.benchmarks
 def test_methods_are_compared_after_the_same_number_of_evaluations(
     page: ModuleType, tmp_path: Path
 ) -> None:

@@ -59,6 +59,7 @@ def test_the_page_shows_the_results(results: dict[str, Any]) -> None:
     )
 
 
+@pytest.mark.benchmarks
 def test_all_charts_are_drawn(results: dict[str, Any], tmp_path: Path) -> None:
     charts = load("charts")
     charts.draw(results, tmp_path)

@@ -24,6 +24,7 @@ ELSEWHERE = {  # target: what checks it
     "kills": "the faults, with KILLS=200",
     "reference": "tests/docs/test_docs.py",
     "scale": "bench --quick has it",
+    "thorough": "the same tests with less of it",
 }
 NOT_CHECKS = {"clean", "format", "run"}
 

@@ -8,7 +8,9 @@ import pytest
 from .planted import PLANTED
 from .schedule import play
 
-SCHEDULES, SOME, CHUNK = 1000, 25, 25  # with ``make long``; with ``make test``
+CHUNK = 10  # schedules of a test
+# Up to which number schedules are played, with ``make test``, ``make long`` and ``make thorough``.
+SOME, MORE, ALL = 10, 400, 1000
 FOUND_WITHIN = 100  # schedules, a planted bug
 # Bugs that only a few schedules show: with ``make long``.
 RARE = {
@@ -22,6 +24,7 @@ RARE = {
     "a_machine_is_each_of_its_ids",
     "a_server_verifies_its_machine",
     "slots_are_taken_from_nobody",
+    "turns_go_by_name",
     "users_are_ignored",
 }
 
@@ -46,7 +49,11 @@ def test_rare_faults_stay_mended(seed: int) -> None:
         *range(0, SOME, CHUNK),
         *(
             pytest.param(first, marks=pytest.mark.long)
-            for first in range(SOME, SCHEDULES, CHUNK)
+            for first in range(SOME, MORE, CHUNK)
+        ),
+        *(
+            pytest.param(first, marks=pytest.mark.thorough)
+            for first in range(MORE, ALL, CHUNK)
         ),
     ],
 )

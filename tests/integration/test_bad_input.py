@@ -483,10 +483,8 @@ def slots_of(server: int) -> list[int]:
     return [slot for child in children(server) for slot in children(child)]
 
 
-@pytest.mark.parametrize("seconds", [2, pytest.param(10, marks=pytest.mark.faults)])
-def test_a_daemon_survives_random_bytes_on_every_key(
-    tmp_path: Path, seconds: int
-) -> None:
+@pytest.mark.faults
+def test_a_daemon_survives_random_bytes_on_every_key(tmp_path: Path) -> None:
     server = Server(tmp_path, "ss").ready()
     name = server.events("server_ready")[0]["server"]
     draw = random.Random(7)
@@ -513,7 +511,7 @@ def test_a_daemon_survives_random_bytes_on_every_key(
             opened.liveliness().declare_token(f"zswarm/v1/default/ot/{user}/{user}/alive")
             for user in ("someone", "UPPER", "a_b")
         ]
-        end = time.monotonic() + seconds
+        end = time.monotonic() + 10.0
         while time.monotonic() < end:
             key = f"zswarm/v1/default/ss/{name}/{draw.choice(verbs)}"
             body = draw.randbytes(draw.choice([0, 1, 16, 300, 20_000]))

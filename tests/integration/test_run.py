@@ -101,6 +101,7 @@ def test_a_killed_optimizer_resumes_and_repeats_nothing(tmp_path: Path) -> None:
     assert check_run(tmp_path / "runs" / "disturbed").history_hash == ALONE
 
 
+@pytest.mark.long
 def test_an_optimizer_killed_in_the_assessment_resumes_there(tmp_path: Path) -> None:
     """Another number of slots, and a kill, change neither its hash nor its champion."""
     servers = [Server(tmp_path, f"ss-{number}", capacity=1) for number in range(2)]
@@ -197,6 +198,7 @@ def test_runs_that_share_one_slot_all_end(tmp_path: Path) -> None:
     assert len(server.events("lease_granted")) == 3
 
 
+@pytest.mark.long
 def test_a_drained_server_finishes_running_work_and_exits(tmp_path: Path) -> None:
     servers = [Server(tmp_path, f"ss-{number}") for number in range(2)]
     optimizer = run(tmp_path, "ot", *remote(*[server.ready() for server in servers]))

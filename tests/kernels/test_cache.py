@@ -83,6 +83,7 @@ def start(folder: Path, kind: str, order: list[str]) -> subprocess.Popen[str]:
     )
 
 
+@pytest.mark.long
 def test_programs_that_compile_for_different_types_at_once_keep_their_machine_code(
     module: Path,
 ) -> None:

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.repository import REPOSITORY
 from zswarm.security import keyring
 
@@ -36,6 +38,7 @@ def programs(folder: Path, machine: str) -> Path:
     return folder
 
 
+@pytest.mark.docs
 def test_the_documented_commands_work(tmp_path: Path) -> None:
     """All files lie in one folder, as if they were brought at once."""
     files = tmp_path / "files"

@@ -303,6 +303,7 @@ def test_every_simulator_keeps_the_contract(name: str) -> None:
     check_simulator(simulator_class, {"steps": 100} if steps else SHORT.get(name))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("settings", UNUSUAL[1:])
 def test_unusual_settings_keep_the_contract(settings: dict[str, Any]) -> None:
     check_simulator(EmergencyExit, settings)

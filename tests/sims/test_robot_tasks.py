@@ -264,7 +264,7 @@ def test_a_better_handwritten_controller_scores_higher(task: str, good: float) -
 @pytest.mark.parametrize(
     ("example", "between"),
     [
-        ("box-pushing", 1.52),
+        pytest.param("box-pushing", 1.52, marks=pytest.mark.long),
         pytest.param("turtlebot-exit", -10, marks=pytest.mark.long),
         pytest.param("foraging-physical", 0.82, marks=pytest.mark.long),
         pytest.param("box-pushing seed=2", 1.52, marks=pytest.mark.long),

@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 import zswarm
 from tests.ot.invented_record import written
+from tests.parameters import some
 from zswarm.config.sections import StopConfig
 from zswarm.errors import ConfigError
 from zswarm.ot import cli
@@ -88,7 +89,7 @@ def test_an_svg_needs_no_font() -> None:
     ],
     ids=lambda groups: next(iter(groups)),
 )
-@pytest.mark.parametrize("axis", ["generation", "time"])
+@pytest.mark.parametrize("axis", some(["generation", "time"], "generation"))
 def test_all_kinds_of_runs_are_drawn(
     groups: dict[str, list[Series]], axis: figures.Axis
 ) -> None:

@@ -107,6 +107,7 @@ def test_the_predicted_batch_has_as_many_trials_as_dispatch_sends() -> None:
     assert constants.batch(1e-6, slots=4, trials=50) == 25
 
 
+@pytest.mark.programs
 def test_constants_are_measured_on_servers(tmp_path: Path) -> None:
     """A real server of this machine, in a real program."""
     done = subprocess.run(

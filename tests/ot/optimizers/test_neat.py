@@ -345,6 +345,7 @@ def solved(seed: int) -> tuple[int, int, int] | None:
     return None
 
 
+@pytest.mark.long
 def test_xor_is_solved_with_added_neurons() -> None:
     generations, evaluations, hidden = solved(1) or (0, 0, 0)
     assert 1 <= generations <= 60, "as many as the example has"

@@ -34,7 +34,10 @@ def learning_curve(
 
 @pytest.mark.parametrize(
     ("field", "trials", "golden"),
-    [("stadium", 1, "stadium"), ("random", 10, "random_fields_10")],
+    [
+        ("stadium", 1, "stadium"),
+        pytest.param("random", 10, "random_fields_10", marks=pytest.mark.long),
+    ],
 )
 @pytest.mark.parametrize(
     ("seeds", "generations"),

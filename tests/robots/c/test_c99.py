@@ -48,7 +48,7 @@ def loaded(
     sources: dict[str, str] = {}
     for number, evolved in enumerate(controllers):
         sources |= pair(evolved, f"k{number:02}")
-    return library(sources, tmp_path_factory.mktemp("pairs"), "-O2")
+    return library(sources, tmp_path_factory.mktemp("pairs"), "-O1")
 
 
 @pytest.mark.parametrize("number", range(len(KINDS)), ids=map(named, KINDS))

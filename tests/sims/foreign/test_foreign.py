@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from tests.parameters import some
 from zswarm import evaluate
 from zswarm.config import settings_docs
 from zswarm.errors import ConfigError, EvaluationError, UnknownPlugin
@@ -214,7 +215,9 @@ def test_a_hosting_program_with_varied_settings_plays_whole_trials(
     assert len(loaded.spare) == 1
 
 
-@pytest.mark.parametrize("how", BROKEN)
+@pytest.mark.parametrize(
+    "how", some(BROKEN, "is-killed", "prints", "cut-frame", "leaves-a-child")
+)
 def test_a_program_that_ends_or_breaks_the_protocol_is_a_fault_and_is_replaced(
     install: Install, how: str
 ) -> None:
@@ -245,7 +248,7 @@ def test_an_invalid_answer_is_the_outcome_of_that_trial(
     )
 
 
-@pytest.mark.parametrize("how", UNUSABLE)
+@pytest.mark.parametrize("how", some(UNUSABLE, "ends-at-once", "bad-default"))
 def test_a_program_that_cannot_be_used_is_named_in_one_line(
     install: Install, how: str
 ) -> None:
