@@ -19,9 +19,9 @@ test: $(READY)
 long: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m long $(ARGS)
 
-# The same once more with much more of it, before a release: an hour of computing.
-thorough: $(READY)
-	$(BIN)/python -m pytest $(TESTS) -m thorough $(ARGS)
+# The same once more with much more of it, before a release; in the environment that has all packages.
+thorough: build/vmas/ready
+	build/vmas/bin/python -m pytest $(TESTS) -m thorough $(ARGS)
 
 # Attacks on the real programs, on loopback.
 attacks: $(READY)
@@ -41,7 +41,7 @@ product: $(READY)
 
 # Scenarios of VMAS, and runs for MLflow and Weights & Biases, in an environment of their own: these are large.
 vmas: build/vmas/ready
-	build/vmas/bin/python -m pytest -n 2 -m vmas tests/sims/adapters/test_vmas.py tests/ot/analysis/test_trackers.py $(ARGS)
+	build/vmas/bin/python -m pytest -n 2 -m "vmas and not thorough" tests/sims/adapters/test_vmas.py tests/ot/analysis/test_trackers.py $(ARGS)
 
 # Dashboard and player in a real browser: chromium (Debian: apt install chromium).
 browser: $(READY)
@@ -85,9 +85,9 @@ units: $(READY)
 kills: $(READY)
 	KILLS=$(KILLS) $(BIN)/python -m pytest -s -m faults tests/integration/test_kills.py $(ARGS)
 
-# Results with every supported Python that is installed, and with the oldest and newest numpy and numba.
+# Results with the oldest and newest Python, numpy and numba; those between them are with make thorough.
 bits-everywhere: $(READY)
-	$(BIN)/python -m pytest -n 2 -m versions tests/bits $(ARGS)
+	$(BIN)/python -m pytest -n 2 -m "versions and not thorough" tests/bits $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .

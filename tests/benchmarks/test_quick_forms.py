@@ -21,7 +21,7 @@ QUICK = {  # target: what it runs, small
 ELSEWHERE = {  # target: what checks it
     "fuzz": "tests/attacks/test_fuzz.py",
     "paper": "tests/benchmarks/test_paper.py",
-    "kills": "the faults, with KILLS=200",
+    "kills": "the faults, with KILLS=100",
     "reference": "tests/docs/test_docs.py",
     "scale": "bench --quick has it",
     "thorough": "the same tests with less of it",

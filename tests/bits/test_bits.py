@@ -90,9 +90,12 @@ def test_plain_python_gives_the_same_bits_as_the_kernels() -> None:
     )
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
-    ("setting", "trials"), [("plain", "short"), ("plain, numba there", "few")]
+    ("setting", "trials"),
+    [
+        pytest.param("plain", "short", marks=pytest.mark.long),
+        pytest.param("plain, numba there", "few", marks=pytest.mark.thorough),
+    ],
 )
 def test_plain_python_gives_the_same_bits_in_longer_trials(
     setting: str, trials: str

@@ -1,9 +1,9 @@
 """Check that results have the same bits on every supported Python, numpy and numba.
 
 Environments are made in ``build/bits`` with what ``pyproject.toml`` asks for, once: with the newest
-packages for each Python but the one that runs the tests, and with the oldest numpy and numba for
-the oldest Python. Later Pythons have no builds of these. Each compiles every kernel anew, so it
-also does that in another way: a few steps show how a kernel was compiled.
+packages for the newest Python (with ``make thorough`` also for the others), and with the oldest
+numpy and numba for the oldest Python. Later Pythons have no builds of these. Each compiles every
+kernel anew, so some also do that in another way: a few steps show how a kernel was compiled.
 """
 
 import functools
@@ -24,14 +24,10 @@ PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
 SUPPORTED = ("3.11", "3.12", "3.13")
 HERE = "{}.{}".format(*sys.version_info)
 OLDEST = ("numba", "numpy")
-WAYS = {  # to compile, by whether the packages are the oldest
-    True: {"NUMBA_OPT": "0"},
-    False: {
-        "NUMBA_OPT": "max",
-        "NUMBA_LOOP_VECTORIZE": "1",
-        "NUMBA_SLP_VECTORIZE": "1",
-    },
-}
+# Ways to compile.
+USUAL: dict[str, str] = {}
+LEAST = {"NUMBA_OPT": "0"}
+MOST = {"NUMBA_OPT": "max", "NUMBA_LOOP_VECTORIZE": "1", "NUMBA_SLP_VECTORIZE": "1"}
 USABLE = "import sys, ensurepip, venv; print('{}.{}'.format(*sys.version_info))"
 
 
@@ -99,19 +95,25 @@ def here() -> dict[str, str | int]:
 
 
 @pytest.mark.parametrize(
-    ("python", "oldest"),
+    ("python", "oldest", "way"),
     [
-        (SUPPORTED[0], True),
-        *((python, False) for python in SUPPORTED if python != HERE),
+        (SUPPORTED[0], True, LEAST),
+        (SUPPORTED[-1], False, USUAL),
+        *(
+            pytest.param(python, False, MOST, marks=pytest.mark.thorough)
+            for python in SUPPORTED[:-1]
+        ),
     ],
 )
-def test_the_bits_are_the_same_with_other_versions(python: str, oldest: bool) -> None:
+def test_the_bits_are_the_same_with_other_versions(
+    python: str, oldest: bool, way: dict[str, str]
+) -> None:
     found = bits(
         "versions",
         python=environment(python, oldest=oldest),
         PYTHONPATH=str(REPOSITORY),
         ZSWARM_CACHE=str(REPOSITORY / "build" / "bits" / "cache"),
-        **WAYS[oldest],
+        **way,
     )
     differing = [name for name, digest in here().items() if found.get(name) != digest]
     assert differing == []

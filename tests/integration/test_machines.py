@@ -31,7 +31,7 @@ generations = 4
 simulator = "emergency-exit"
 trials = 20
 [problem.settings]
-steps = 6000
+steps = 3000
 agents = 20
 [representation]
 kind = "fully-meshed"

@@ -71,7 +71,7 @@ def test_xor_is_solved_early_and_exact_later(seed: int) -> None:
     assert evolved.metrics(np.zeros(1, np.uint64))["correct"] == 4
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_xor_is_solved_from_every_seed() -> None:
     """Solve all 100 runs within 200 generations.
 

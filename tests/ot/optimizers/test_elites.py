@@ -246,7 +246,7 @@ def played(parts: run.Parts, generations: int, genomes: Any = None) -> run.Parts
     return parts
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_quality_diversity_finds_more_and_better_behaviours_than_random_search() -> None:
     """Each has 5,000 evaluations with each of six seeds."""
     scores: dict[str, list[float]] = {"map-elites": [], "cma-me": [], "random": []}

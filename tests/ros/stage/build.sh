@@ -18,7 +18,7 @@ sed -i -E 's/^ *(ADD_SUBDIRECTORY|add_subdirectory) *\( *(examples|worlds|avonst
 build() {  # SOURCE OPTION...: build and install it
     from=$1
     shift
-    cmake -S "$from" -B "$work/build-$(basename "$from")" -Wno-dev -DCMAKE_BUILD_TYPE=Release \
+    cmake -S "$from" -B "$work/build-$(basename "$from")" -Wno-dev -DCMAKE_BUILD_TYPE=Release -DCMAKE_CXX_FLAGS_RELEASE=-O1 \
         -DCMAKE_INSTALL_PREFIX="$folder" -DCMAKE_INSTALL_RPATH="$folder/lib" -DCMAKE_POLICY_VERSION_MINIMUM=3.5 "$@"
     cmake --build "$work/build-$(basename "$from")" --parallel "$(nproc)" --target install
 }

@@ -50,6 +50,7 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
         {"generations": 5, "runs": 3, "trials": 2, "unseen": 5, "others": 12},
     ),
 ]
+SOME = {"simple_v3", "multiwalker_v9"}  # with make long
 KEPT = {
     "pettingzoo": [
         "rps_v2",
@@ -91,9 +92,16 @@ def test_every_small_environment_keeps_the_contract() -> None:
             )
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
-    ("environment", "options", "effort"), EVOLVED, ids=[each[0] for each in EVOLVED]
+    ("environment", "options", "effort"),
+    [
+        pytest.param(
+            *each,
+            id=each[0],
+            marks=pytest.mark.long if each[0] in SOME else pytest.mark.thorough,
+        )
+        for each in EVOLVED
+    ],
 )
 def test_evolution_is_better_than_random_on_seeds_it_never_saw(
     environment: str, options: dict[str, Any], effort: dict[str, Any]
@@ -105,16 +113,22 @@ def test_evolution_is_better_than_random_on_seeds_it_never_saw(
     assert found.p < 0.01, found
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("environment", "effort"),
     [
-        ("CartPole-v1", {"generations": 5, "runs": 3, "others": 12}),
-        (
+        pytest.param(
+            "CartPole-v1",
+            {"generations": 5, "runs": 3, "others": 12},
+            marks=pytest.mark.long,
+        ),
+        pytest.param(
             "Acrobot-v1",
             {"generations": 4, "runs": 3, "trials": 2, "unseen": 5, "others": 9},
+            marks=pytest.mark.thorough,
         ),
-        ("Pendulum-v1", {"generations": 6, "runs": 4}),
+        pytest.param(
+            "Pendulum-v1", {"generations": 6, "runs": 4}, marks=pytest.mark.thorough
+        ),
     ],
 )
 def test_evolution_of_one_agent_is_better_than_random_ones(

@@ -26,13 +26,13 @@ def test_vmas_is_installed() -> None:
 @pytest.mark.parametrize(
     "scenario",
     [
-        "balance",
-        "dispersion",
         "flocking",
         "navigation",
         "simple_tag",
-        "simple_world_comm",
-        "wheel",
+        *(
+            pytest.param(name, marks=pytest.mark.thorough)
+            for name in ("balance", "dispersion", "simple_world_comm", "wheel")
+        ),
     ],
 )
 def test_a_scenario_keeps_the_contract(scenario: str) -> None:
@@ -44,13 +44,20 @@ def test_a_scenario_keeps_the_contract(scenario: str) -> None:
 @pytest.mark.parametrize(
     ("scenario", "options", "steps", "effort"),
     [
-        ("simple", {}, 30, {"generations": 10, "trials": 2}),
         ("circle_trajectory", {}, 20, {"generations": 8, "trials": 2}),
-        (
+        pytest.param(
+            "simple",
+            {},
+            30,
+            {"generations": 10, "trials": 2},
+            marks=pytest.mark.thorough,
+        ),
+        pytest.param(
             "navigation",
             {"n_agents": 2, "collisions": False},
             30,
             {"generations": 9, "trials": 2},
+            marks=pytest.mark.thorough,
         ),
     ],
 )
