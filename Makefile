@@ -49,7 +49,7 @@ browser: $(READY)
 
 # ROS 1 (Debian: apt install ros-core), ROS 2, compilers and other processors: exports are compiled, ROS simulations run.
 robots: $(READY)
-	$(BIN)/python -m pytest $(TESTS) -m robots $(ARGS)
+	$(BIN)/python -m pytest $(TESTS) -m "robots and not thorough" $(ARGS)
 
 # The benchmarks in their quick form: whether they work.
 benchmarks: $(READY)
@@ -57,7 +57,7 @@ benchmarks: $(READY)
 
 # All of these but vmas and machines, in one go: tests that wait run next to tests that compute.
 rest: $(READY)
-	$(BIN)/python -m pytest $(TESTS) -m "long or programs or product or browser or robots or faults or docs or benchmarks or attacks" $(ARGS)
+	$(BIN)/python -m pytest $(TESTS) -m "(long or programs or product or browser or robots or faults or docs or benchmarks or attacks) and not thorough" $(ARGS)
 
 chaos: $(READY)
 	$(BIN)/python -m tests.chaos $(if $(SEED),--seed $(SEED)) $(if $(SECONDS),--seconds $(SECONDS))

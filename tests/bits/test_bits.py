@@ -13,24 +13,19 @@ from pathlib import Path
 
 import pytest
 
-# The only place where numpy says what it chooses from.
-from numpy._core import _multiarray_umath as compiled_numpy
-
 from tests.installed_parts import playable
 from tests.kernels.warming import warmed_up
 from tests.repository import REPOSITORY
 from zswarm.plugins import registry as plugins
 
-# The oldest of its architecture: no AVX, no FMA.
-OLDEST = {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
-NUMPY_FEATURES = [
-    name
-    for name in compiled_numpy.__cpu_dispatch__
-    if compiled_numpy.__cpu_features__[name]
-]
-OLDEST_NUMPY = {"NPY_DISABLE_CPU_FEATURES": " ".join(NUMPY_FEATURES)}
-# It is asked by pymunk for sines and powers.
+# The C library is asked by pymunk for sines and powers.
 OLDEST_C_LIBRARY = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA,-FMA4"}
+# The only place where numpy says what it chooses from.
+NUMPY_FEATURES = """
+from numpy._core import _multiarray_umath as compiled_numpy
+features = compiled_numpy.__cpu_features__
+print(*[name for name in compiled_numpy.__cpu_dispatch__ if features[name]])
+"""
 SETTINGS = {
     "plain": {"ZSWARM_PLAIN": "1"},
     "plain, numba there": {"NUMBA_DISABLE_JIT": "1"},
@@ -38,6 +33,18 @@ SETTINGS = {
 # the pendulums of two genomes may fall in the same step
 FALL_ALIKE = "inverted-pendulum fully-meshed input_model="
 SAID = {"whole": [], "short": ["short"], "few": ["few"]}  # to bits.py, of the trials
+
+
+def oldest_processor(python: Path | str = sys.executable) -> dict[str, str]:
+    """Return an environment with the oldest processor of its architecture: no AVX, no FMA."""
+    done = subprocess.run(
+        [python, "-c", NUMPY_FEATURES], check=True, capture_output=True, text=True
+    )
+    return OLDEST_C_LIBRARY | {
+        "NUMBA_CPU_NAME": "generic",
+        "NUMBA_CPU_FEATURES": "",
+        "NPY_DISABLE_CPU_FEATURES": done.stdout.strip(),
+    }
 
 
 def bits(
@@ -90,11 +97,12 @@ def test_plain_python_gives_the_same_bits_as_the_kernels() -> None:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("setting", "trials"),
     [
-        pytest.param("plain", "short", marks=pytest.mark.long),
-        pytest.param("plain, numba there", "few", marks=pytest.mark.thorough),
+        ("plain", "short"),
+        ("plain, numba there", "few"),
     ],
 )
 def test_plain_python_gives_the_same_bits_in_longer_trials(
@@ -108,7 +116,7 @@ def test_plain_python_gives_the_same_bits_in_longer_trials(
     assert bits(*SAID[trials], **SETTINGS[setting]) == expected
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_the_oldest_processor_gives_the_same_bits_by_kernels_that_were_warmed_up(
     tmp_path: Path,
 ) -> None:
@@ -117,7 +125,7 @@ def test_the_oldest_processor_gives_the_same_bits_by_kernels_that_were_warmed_up
     The cache is empty at the start. It is a separate one: numba distinguishes processors in it, but
     not optimization levels.
     """
-    oldest, cache = OLDEST | OLDEST_NUMPY | OLDEST_C_LIBRARY, tmp_path / "cache"
+    oldest, cache = oldest_processor(), tmp_path / "cache"
     # Its 18 inputs are too many for mealy.
     names = playable([*(plugins.BUNDLED["simulator"].keys() - {"pettingzoo"}), "lazy"])
     found = warmed_up(names, tmp_path, cache, **oldest)
@@ -146,7 +154,7 @@ json.dump([features, registers], sys.stdout)
     reason="the registers of other processors have other names",
 )
 def test_on_the_oldest_processor_nothing_newer_is_used(tmp_path: Path) -> None:
-    oldest = OLDEST | OLDEST_NUMPY
+    oldest = oldest_processor()
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", WITH_WHAT],
         cwd=REPOSITORY,
@@ -157,5 +165,5 @@ def test_on_the_oldest_processor_nothing_newer_is_used(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     features, registers = json.loads(done.stdout)
-    assert not set(features) & set(NUMPY_FEATURES)
+    assert not set(features) & set(oldest["NPY_DISABLE_CPU_FEATURES"].split())
     assert registers == ["xmm"]

@@ -128,7 +128,7 @@ def test_a_robot_finds_lights_that_it_never_saw_in_evolution() -> None:
     assert evolved.metrics(unseen)["found"] > 0.5
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_champions_of_varied_rooms_do_better_in_held_out_rooms() -> None:
     """Compare ten champions of varied rooms with ten of fixed rooms; all ten are better in both.
 

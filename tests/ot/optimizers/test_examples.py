@@ -21,6 +21,7 @@ NAMED = {  # optimizers with the example of what they are known for, and evaluat
     "nnga": ("stadium", 2000),
     "novelty": ("maze", 15_000),
 }
+SOME = {"neat", "nnga"}  # with make long
 # Compared by the score of their archive, also in test_elites.py; and their opponents.
 OTHERWISE = {
     "cma-me": "cma-me",
@@ -61,8 +62,16 @@ def test_every_network_has_an_example() -> None:
     )
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", [name for name in NAMED if name != "novelty"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(
+            name, marks=pytest.mark.long if name in SOME else pytest.mark.thorough
+        )
+        for name in NAMED
+        if name != "novelty"
+    ],
+)
 def test_each_beats_random_search_at_equal_evaluations(name: str) -> None:
     """Random search has as many or some more, of the same genomes."""
     example, evaluations = NAMED[name]
@@ -74,7 +83,7 @@ def test_each_beats_random_search_at_equal_evaluations(name: str) -> None:
     assert mannwhitneyu(found, chance, alternative="greater").pvalue < 0.01
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_novelty_finds_the_way_round_where_fitness_leads_behind_a_wall() -> None:
     """The goal is reached with fitness above 1; breeding for nearness or chance does not."""
     example, evaluations = NAMED["novelty"]
@@ -103,7 +112,7 @@ def by_chance(example: str, seed: int, evaluations: int) -> float:
     )
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_cma_me_has_a_higher_score_than_map_elites_with_as_many_candidates() -> None:
     """Six of the ten seeds of the example's comment."""
     scores = {

@@ -165,12 +165,20 @@ def test_a_damaged_record_gives_the_right_history_or_a_clear_error(
     assert min(counts.values()) > 0, counts
 
 
-@pytest.mark.long
-def test_two_thousand_damages_give_the_right_history_or_a_clear_error(
-    runs: Runs, tmp_path: Path
+@pytest.mark.parametrize(
+    ("number", "count"),
+    [
+        pytest.param(0, 400, marks=pytest.mark.long),
+        *(
+            pytest.param(number, 500, marks=pytest.mark.thorough)
+            for number in range(1, 5)
+        ),
+    ],
+)
+def test_many_damages_give_the_right_history_or_a_clear_error(
+    runs: Runs, tmp_path: Path, number: int, count: int
 ) -> None:
-    for seed in range(SEED, SEED + 4):
-        try_damages(runs, tmp_path, 500, seed + 1000)
+    try_damages(runs, tmp_path, count, SEED + 1000 + number)
 
 
 @pytest.mark.parametrize("generations", [0, 2, GENERATIONS])

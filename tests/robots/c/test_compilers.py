@@ -41,6 +41,15 @@ WAYS = [
         for flags in (("-O2", *STRICT), LOOSE, (OFF, "-O2", *STRICT), (OFF, *LOOSE))
     ),
 ]
+# The others are with ``make thorough``.
+SOME = [
+    ("gcc", "-O2", *STRICT),
+    ("clang", "-O3", *STRICT),
+    ("gcc", "-march=native", *LOOSE),
+    (*ARM64, "-O2", *STRICT),
+    (*ARM64, *LOOSE),
+    (*ARM, "-O2", *STRICT),
+]
 WHOLE = [(*processor, "-O2", *STRICT) for processor in (("gcc",), ARM64, ARM)]
 QEMU = {
     "aarch64": ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"),
@@ -132,7 +141,15 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Programs:
     return made
 
 
-@pytest.mark.parametrize("way", WAYS, ids=" ".join)
+@pytest.mark.parametrize(
+    "way",
+    [
+        pytest.param(
+            way, id=" ".join(way), marks=() if way in SOME else pytest.mark.thorough
+        )
+        for way in WAYS
+    ],
+)
 def test_every_compiler_and_processor_gives_the_same_bits(
     way: tuple[str, ...], programs: Programs
 ) -> None:
