@@ -196,6 +196,14 @@ def test_a_run_that_goes_back_ends_with_the_same_history(
     assert contents(folder)[0] == runs.history
 
 
+def test_a_damaged_key_of_another_type_is_damage(runs: Runs, tmp_path: Path) -> None:
+    folder = copied(runs.finished, tmp_path / "run")
+    with contextlib.closing(sqlite3.connect(folder / "run.sqlite")) as database, database:
+        database.execute("UPDATE meta SET key = x'6500' WHERE key = 'epoch'")
+    with pytest.raises(ConfigError, match="damaged: table meta: not what was written: "):
+        Run(folder)
+
+
 def test_a_difference_names_the_generation_and_the_way_back(
     runs: Runs, tmp_path: Path
 ) -> None:

@@ -74,9 +74,11 @@ def check_meta(meta: Mapping[str, Any]) -> None:
     except (msgspec.DecodeError, UnicodeDecodeError, TypeError, RecursionError):
         raise Damage("table meta: its digests cannot be read") from None
     found = {key: of_row(key, value) for key, value in meta.items() if key != DIGESTS}
-    keys = sorted(expected | found)
-    if wrong := [key for key in keys if found.get(key) != expected.get(key)]:
-        raise Damage(f"table meta: not what was written: {', '.join(wrong)}")
+    wrong = [key for key in expected | found if found.get(key) != expected.get(key)]
+    if wrong:  # a damaged key may be of any type
+        raise Damage(
+            f"table meta: not what was written: {', '.join(sorted(map(str, wrong)))}"
+        )
 
 
 # ---- generations
