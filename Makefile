@@ -2,7 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/ready
-TESTS ?= -n $$((2 * $$(nproc))) --dist worksteal  # many wait for programs; neighbours share what they compare with
+TESTS ?= -n $$(($(WORKERS))) --dist worksteal  # neighbours share what they compare with
+WORKERS = 2 * $$(nproc)  # many wait for programs
 
 KILLS ?= 200
 THIRD_PARTY ?= ../shared/third-party
@@ -13,6 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE  # each program would compile again all that it
 run: $(READY)
 	$(BIN)/zswarm-ot run $(or $(ARGS),stadium)
 
+test: WORKERS = 3 * $$(nproc) / 2
 test: $(READY)
 	$(BIN)/python -m pytest $(TESTS) $(ARGS)
 

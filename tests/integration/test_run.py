@@ -80,6 +80,7 @@ def test_killed_and_late_servers_do_not_change_the_history(tmp_path: Path) -> No
     assert check_run(record).history_hash == ALONE
 
 
+@pytest.mark.long
 def test_a_killed_optimizer_resumes_and_repeats_nothing(tmp_path: Path) -> None:
     server = Server(tmp_path, "ss")
     try:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from tests import examples
+from tests.parameters import some
 from tests.sims.naive_duel import NaiveDuel
 from zswarm.errors import ConfigError
 from zswarm.evaluate import build, evaluate
@@ -68,7 +69,7 @@ def deciding(
     return decide
 
 
-@pytest.mark.parametrize("settings", UNUSUAL)
+@pytest.mark.parametrize("settings", some(UNUSUAL, *UNUSUAL[1:-1]))
 def test_kernel_turns_and_a_naive_reference_have_the_same_bits(
     settings: dict[str, int],
 ) -> None:

@@ -123,6 +123,7 @@ def test_groups_have_a_note_with_their_test() -> None:
     )
 
 
+@pytest.mark.long
 def test_runs_may_be_drawn_in_threads() -> None:
     """Each gives the bytes that it gives alone."""
     groups = [{"a": repeats(3, level=level)} for level in range(4)]
@@ -296,6 +297,7 @@ def test_a_band_needs_three_runs() -> None:
     assert drawn.texts[0].get_text().startswith("bands: quartiles of 3 runs each")
 
 
+@pytest.mark.long
 def test_plot_leaves_other_programs_figures_alone(
     study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

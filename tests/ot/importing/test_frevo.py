@@ -413,6 +413,7 @@ def test_networks_that_differ_are_refused(tmp_path: Path) -> None:
     assert "not all of one kind" in refusal(tmp_path, zre.text(nets))
 
 
+@pytest.mark.long
 def test_a_network_takes_no_more_memory_than_its_file(tmp_path: Path) -> None:
     """Very many nodes without a weight: the table that they would need is not made."""
     nodes = "".join(f'<node nr="{number}"/>' for number in range(40_000))

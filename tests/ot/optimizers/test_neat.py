@@ -65,6 +65,7 @@ def with_species(
 # ---- species
 
 
+@pytest.mark.long
 def test_individuals_of_a_species_are_near_its_representative() -> None:
     evolving = told(
         optimizer(
@@ -97,6 +98,7 @@ def test_individuals_of_a_species_are_near_its_representative() -> None:
     )
 
 
+@pytest.mark.long
 def test_the_threshold_moves_until_there_are_as_many_species_as_wanted() -> None:
     growing = network(add_node=0.1, add_link=0.1)
     many, few = (

@@ -32,21 +32,18 @@ def learning_curve(
     return curve
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("field", "trials", "golden"),
     [
         ("stadium", 1, "stadium"),
-        pytest.param("random", 10, "random_fields_10", marks=pytest.mark.long),
+        ("random", 10, "random_fields_10"),
     ],
 )
-@pytest.mark.parametrize(
-    ("seeds", "generations"),
-    [(5, (50, 100)), pytest.param(10, (50, 100, 199), marks=pytest.mark.long)],
-    ids=["five", "ten"],
-)
 def test_the_median_of_runs_is_not_below_frevos_lower_quartile(
-    field: str, trials: int, golden: str, seeds: int, generations: tuple[int, ...]
+    field: str, trials: int, golden: str
 ) -> None:
+    seeds, generations = 10, (50, 100, 199)
     simulator = EmergencyExit(EmergencyExitSettings(field=field))
     curves = np.array(
         [

@@ -214,6 +214,7 @@ def test_impossible_tournaments_are_refused_in_one_line(
     assert str(refusal.value).startswith(words)
 
 
+@pytest.mark.long
 def test_the_games_of_a_great_tournament_take_no_more_memory_than_their_numbers() -> None:
     """Half a million games are 8 MB; as tuples they would be 60 MB more."""
     full = ranking("full-tournament", all_sides=False)

@@ -161,7 +161,7 @@ def back(runs: Runs, folder: Path, said: str, how: str) -> str:
 def test_a_damaged_record_gives_the_right_history_or_a_clear_error(
     runs: Runs, tmp_path: Path
 ) -> None:
-    counts = try_damages(runs, tmp_path, 120, SEED)
+    counts = try_damages(runs, tmp_path, 60, SEED)
     assert min(counts.values()) > 0, counts
 
 

@@ -114,7 +114,7 @@ def test_a_trial_without_pictures_has_a_table_of_agents() -> None:
 
 
 @pytest.mark.parametrize(
-    "simulator", some(["minisim", "inverted-pendulum", "xor"], "inverted-pendulum")
+    "simulator", some(["minisim", "inverted-pendulum", "xor"], "xor")
 )
 def test_a_moving_picture_shows_every_state_or_some_and_stays_at_the_end(
     simulator: str, monkeypatch: pytest.MonkeyPatch

@@ -84,6 +84,7 @@ def test_robots_on_the_square_and_the_circle_cover_them() -> None:
     assert -3.0 < scored("spc", spread + ring) < 0.0
 
 
+@pytest.mark.long
 def test_the_published_coverage_hardly_depends_on_the_robots() -> None:
     near, spread = [(0.0, 0.0)], [(0.0, 0.0), (0.8, 0.0), (0.0, 0.9), (0.0, -0.9)]
     assert 249.97 < scored("cfa", near) <= 250.0

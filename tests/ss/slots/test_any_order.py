@@ -8,6 +8,7 @@ from collections import Counter, deque
 from typing import Any
 
 import msgspec
+import pytest
 
 from zswarm.protocol import codec, messages
 from zswarm.protocol.messages import (
@@ -403,6 +404,7 @@ def play(seed: int) -> Server:
     return server
 
 
+@pytest.mark.long
 def test_requests_in_any_order_are_answered_once_and_nothing_leaks() -> None:
     seen = sum((play(seed).seen for seed in range(SEEDS)), Counter())
     every = {

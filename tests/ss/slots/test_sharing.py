@@ -284,6 +284,7 @@ def test_a_turn_is_longer_than_what_is_prepared_for_it() -> None:
     assert min(lab.held.values()) > 0.3 * 1200
 
 
+@pytest.mark.long
 def test_servers_of_one_slot_do_not_all_begin_with_the_same_user() -> None:
     labs = [Busy(1, name=f"ss-{number}") for number in range(64)]
     for lab in labs:
