@@ -85,7 +85,9 @@ def main() -> None:
     )
     parser.add_argument("--only", help="problems, with commas between [default: all]")
     parser.add_argument(
-        "--quick", action="store_true", help="two seeds, small runs: whether it works"
+        "--quick",
+        action="store_true",
+        help="two problems and seeds, small runs: whether it works",
     )
     parser.add_argument(
         "--folder", type=Path, help="where the results go [default: build/bench]"
@@ -93,11 +95,14 @@ def main() -> None:
     options = parser.parse_args()
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # in processes: as many as cores
     begin, seeds = time.monotonic(), 2 if options.quick else options.seeds
+    tasks = options.only.split(",") if options.only else list(TASKS)
+    if options.quick:
+        tasks = tasks[:2]
     runs = [
         Run(task, mode, seed, 900, 20)
         if options.quick
         else Run(task, mode, seed, TASKS[task].simulations, HELD_OUT)
-        for task in (options.only.split(",") if options.only else TASKS)
+        for task in tasks
         for mode in MODES
         for seed in range(1, seeds + 1)
     ]
