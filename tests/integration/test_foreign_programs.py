@@ -198,8 +198,12 @@ def evolve_and_kill(
         )
         # Of one that is killed between two trials nobody takes notice.
         while not server.events("slot_died"):
-            (victim, *_), ended = victims(), optimizer.process.poll()
-            assert ended is None, "no program was killed within a trial"
+            found = wait_until(
+                lambda: victims() or optimizer.process.poll() is not None,
+                "a program plays",
+            )
+            assert found is not True, "no program was killed within a trial"
+            victim = found[0]
             os.kill(victim, signal.SIGKILL)
             wait_until(
                 lambda victim=victim: (

@@ -128,7 +128,7 @@ def test_trials_of_the_only_server_are_not_repeated_after_a_link_reset(
         optimizer = scene.optimizer(link.endpoint)
         pace.held()
         link.reset()
-        wait_until(lambda: link.connections == 2, "the optimizer dials again")
+        wait_until(lambda: link.connections >= 2, "the optimizer dials again")
         pace.let_go()
         scene.check(optimizer.done(), undisturbed)
     assert len(pace.played()) == undisturbed.trials, "a trial was played twice"
