@@ -15,13 +15,13 @@ QUICK = {  # target: what it runs, small
     "bench-methods": ["benchmarks/bench.py", "--quick", "--only", "methods"],
     "bench-noise": ["benchmarks/bench.py", "--quick", "--only", "noise"],
     "bench-quick": ["benchmarks/ratios.py", "--once"],
-    "chaos": ["-m", "tests.chaos", "--first", "1000", "--seconds", "5"],
+    "chaos": ["-m", "tests.chaos", "--first", "1000", "--seconds", "1"],
     "soak": ["benchmarks/soak.py", "--quick"],
 }
 ELSEWHERE = {  # target: what checks it
     "fuzz": "tests/attacks/test_fuzz.py",
     "paper": "tests/benchmarks/test_paper.py",
-    "kills": "the faults, with KILLS=100",
+    "kills": "the faults, with KILLS=60",
     "reference": "tests/docs/test_docs.py",
     "scale": "bench --quick has it",
     "thorough": "the same tests with less of it",
