@@ -97,12 +97,11 @@ def test_plain_python_gives_the_same_bits_as_the_kernels() -> None:
     )
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("setting", "trials"),
     [
-        ("plain", "short"),
-        ("plain, numba there", "few"),
+        pytest.param("plain", "short", marks=pytest.mark.long),
+        pytest.param("plain, numba there", "few", marks=pytest.mark.thorough),
     ],
 )
 def test_plain_python_gives_the_same_bits_in_longer_trials(
