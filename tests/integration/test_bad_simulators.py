@@ -359,6 +359,30 @@ def test_a_misbehaving_simulator_affects_only_its_own_trials(tmp_path: Path) -> 
         server.close()
 
 
+def test_a_slot_prepares_again_if_its_process_was_replaced_between_two_runs(
+    tmp_path: Path,
+) -> None:
+    installed = programs.install(tmp_path, "zswarm_bad", SOURCE, "bad = zswarm_bad:Bad")
+    experiment = tmp_path / "bad.toml"
+    what = json.dumps(["leaves_a_program"])
+    experiment.write_text(EXPERIMENT.format(trials=1, what=what, folder=tmp_path))
+    environment = {"PYTHONPATH": installed, "ZSWARM_PLAIN": "1"}
+    server = Server(tmp_path, "ss", capacity=1, **environment).ready()
+    options = ["--json", "--no-multicast", "--servers=1", f"--connect={server.endpoint}"]
+    try:
+        for replaced in (1, 2):
+            run = ["run", str(experiment), *options]
+            done = Optimizer(tmp_path, f"ot-{replaced}", run, **environment).done()
+            assert done["faulted"] == 0
+            wait_until(
+                lambda: len(server.events("slot_renewed")) >= replaced,  # noqa: B023
+                "the process that left a program behind is replaced",
+            )
+        assert server.events("slot_died") == []
+    finally:
+        server.close()
+
+
 def check_outcomes(run: Path) -> None:
     (asked,) = query(run, "SELECT sum(count) FROM outcomes")[0]
     fitness = np.full(asked, np.inf)

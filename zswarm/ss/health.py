@@ -42,7 +42,7 @@ class Health(msgspec.Struct, eq=False):
     _warm: bool = False
     _show_at: float = 0.0
     _orphans: bool = False  # there may be some
-    _free: int = 0  # slots
+    _freed: int = 0  # how often slots became free
     _missing: dict[int, str] = {}  # slots, with the reason
 
     @property
@@ -73,9 +73,10 @@ class Health(msgspec.Struct, eq=False):
             self.next_look = min(self.next_look, now + LOOK_EVERY_S)
         if now < self.next_look:
             return
-        if (free := self.slots.free()) > self._free or self._orphans:
+        freed = sum(slot.freed for slot in self.slots.slots)
+        if freed > self._freed or self._orphans:
             self._end_orphans()
-        self._free = free
+        self._freed = freed
         self._find_missing(now)
         if not self._missing:
             self.notify.feed()
@@ -116,6 +117,7 @@ class Health(msgspec.Struct, eq=False):
                 reason = "its simulator left processes behind"
                 log.info("slot_renewed", slot=slot.index, reason=reason)
                 worker.kill()
+                slot.prepared_for = None
         sessions = {worker.session for worker in self.workers if worker.session}
         self._orphans = bool(orphans.end(sessions))
 

@@ -94,6 +94,7 @@ class Slot(msgspec.Struct, eq=False):
     probing: range = range(0)  # trials of the probe that it plays
     trial: int = -1  # that it is at, an index in the chunk; -1 if not known yet
     deaths: int = 0  # in a row, while it was prepared for this lease
+    freed: int = 0  # how often it became free
 
     def move(self, state: SlotState, now: float) -> None:
         """Change the state.
@@ -104,6 +105,7 @@ class Slot(msgspec.Struct, eq=False):
         if state not in MOVES[self.state]:
             raise LocalProtocolError(f"slot {self.index}: {self.state} to {state}")
         self.state, self.timed_from = state, now
+        self.freed += state == "free"
         if state != "preparing":
             self.probing = range(0)
 
