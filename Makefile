@@ -37,13 +37,13 @@ fuzz: $(READY)
 programs: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m programs $(ARGS)
 
-# Every combination of simulators, networks, optimizers and rankings, with real programs.
+# Every combination of simulators, networks, optimizers and rankings, with real programs: some hours.
 product: $(READY)
-	EVERY_PART=1 $(BIN)/python -m pytest $(TESTS) -m product $(ARGS)
+	$(BIN)/python -m pytest $(TESTS) -m product $(ARGS)
 
 # Scenarios of VMAS, and runs for MLflow and Weights & Biases, in an environment of their own: these are large.
 vmas: build/vmas/ready
-	build/vmas/bin/python -m pytest -n 2 -m "vmas and not thorough" tests/sims/adapters/test_vmas.py tests/ot/analysis/test_trackers.py $(ARGS)
+	build/vmas/bin/python -m pytest -m "vmas and not thorough" tests/sims/adapters/test_vmas.py tests/ot/analysis/test_trackers.py $(ARGS)
 
 # Dashboard and player in a real browser: chromium (Debian: apt install chromium).
 browser: $(READY)
@@ -57,9 +57,9 @@ robots: $(READY)
 benchmarks: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m benchmarks $(ARGS)
 
-# All of these but vmas and machines, in one go: tests that wait run next to tests that compute.
+# All of these but vmas, machines and product, in one go: tests that wait run next to tests that compute.
 rest: $(READY)
-	$(BIN)/python -m pytest $(TESTS) -m "(long or programs or product or browser or robots or faults or docs or benchmarks or attacks) and not thorough" $(ARGS)
+	$(BIN)/python -m pytest $(TESTS) -m "(long or programs or browser or robots or faults or docs or benchmarks or attacks) and not thorough" $(ARGS)
 
 chaos: $(READY)
 	$(BIN)/python -m tests.chaos $(if $(SEED),--seed $(SEED)) $(if $(SECONDS),--seconds $(SECONDS))
@@ -77,7 +77,7 @@ stage: $(READY)
 	@if [ ! -e $(THIRD_PARTY)/stage-4.3.tar.xz ]; then echo "Stage is not built: no sources in $(THIRD_PARTY)"; \
 	elif ! command -v cmake g++ fluid catkin_make >/dev/null; then echo "Stage is not built: cmake, g++, fluid or catkin is missing"; \
 	else $(MAKE) --no-print-directory build/stage/ready; fi
-	RESETS=$(or $(RESETS),50) $(BIN)/python -m pytest -m stage tests/ros/stage $(ARGS)
+	RESETS=$(or $(RESETS),25) $(BIN)/python -m pytest -m stage tests/ros/stage $(ARGS)
 
 # What systemd says of the units.
 units: $(READY)

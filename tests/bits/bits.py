@@ -4,9 +4,8 @@ Cover every simulator in each of its variants with one network, and every networ
 variants with one simulator: outcomes of some trials, played in a batch and turn by turn. Add the
 results of the networks' operators, and what short runs of each optimizer variant with each network
 propose, receive and store on the smallest problem. Finally, cover every pair of simulator and
-network. With ``short``, shorten the trials for plain Python, and play half of the genomes; with
-``few``, also play only a few of the trials and omit runs and pairs; with ``versions``, do as with
-``few``, but with the runs of the optimizers for one network, and for the one that ``neat`` needs.
+network. With ``few``, play few and short trials, for plain Python; with ``versions``, also omit the
+pairs, and the runs of the optimizers but for one network, and for the one that ``neat`` needs.
 """
 
 import contextlib
@@ -29,16 +28,17 @@ from zswarm.ot.record.history_hash import History
 from zswarm.plugins import registry as plugins
 from zswarm.sims.turns import play_turns
 
-FEW = sys.argv[1:] in (["few"], ["versions"])
+VERSIONS = sys.argv[1:] == ["versions"]
+FEW = VERSIONS or sys.argv[1:] == ["few"]
 # Of a trial, if not as many as the simulator's settings say.
-STEPS = 25 if sys.argv[1:] else None
-GENOMES = 2 if FEW else 3 if STEPS else 6
+STEPS = 25 if FEW else None
+GENOMES = 2 if FEW else 6
 SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
 # Partners: whose metrics show every bit of what is decided, lanes.
 SIMULATOR, NETWORK, SMALLEST = "arena", "fully-meshed", "xor"
-# Networks that optimizers evolve; None: all.
-EVOLVED = {"few": [], "versions": [NETWORK, "neat"]}.get("".join(sys.argv[1:]))
+# Networks that optimizers evolve.
+EVOLVED = [NETWORK, "neat"] if VERSIONS else plugins.names("representation")
 # Environments of other packages have their own bits; trials in ROS have those of turtlebot-exit.
 SIMULATORS = [
     name
@@ -99,7 +99,7 @@ def problems() -> Iterator[tuple[str, Any, Any]]:
     for network in plugins.names("representation"):
         for chosen in ways(plugins.load("representation", network).settings_type):
             yield problem(SIMULATOR, network, {"robots": LANES}, chosen)
-    if not FEW:
+    if not VERSIONS:
         for simulator in SIMULATORS:
             for network in plugins.names("representation"):
                 yield problem(simulator, network, {}, {})
@@ -216,8 +216,7 @@ def results() -> Iterator[tuple[str, bytes | int]]:
     for representation in plugins.names("representation"):
         _, simulator, network = problem(SMALLEST, representation, {}, {})
         yield f"{representation}: operators", operated(network)
-        evolves = EVOLVED is None or representation in EVOLVED
-        for kind in plugins.names("optimizer") if evolves else []:
+        for kind in plugins.names("optimizer") if representation in EVOLVED else []:
             optimizer_class = plugins.load("optimizer", kind)
             for chosen in (
                 ways(optimizer_class.settings_type) if representation == NETWORK else [{}]

@@ -5,11 +5,8 @@ another that resumes it, and on four servers undisturbed.
 """
 
 import contextlib
-import functools
 import itertools
-import os
-from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -236,72 +233,22 @@ def fitting(problem: str, representation: str) -> list[Parts]:
     ]
 
 
-def twos(combinations: Iterable[Parts]) -> set[tuple[str, ...]]:
-    """Return every two of network, optimizer and ranking that are together in a combination.
-
-    Problems are left out: the bits of each with every network are compared in ``tests/bits``, and
-    an optimizer receives nothing of a problem but numbers.
-    """
-    return {
-        pair for parts in combinations for pair in itertools.combinations(parts[1:], 2)
-    }
-
-
-@functools.cache
-def played() -> list[Parts]:
-    """List what is played: few combinations, in which each optimizer meets each representation.
-
-    EVERY_PART=1 in the environment plays all optimizers and rankings with every pair.
-    """
-    every = [parts for names in pairs() for parts in fitting(*names)]
-    if os.environ.get("EVERY_PART"):
-        return every
-    missing, chosen = twos(every), list[Parts]()
-    problems = Counter[str]()  # of those chosen: each in its turn
-    while missing:
-        chosen.append(
-            max(
-                every,
-                key=lambda parts: (
-                    len(twos([parts]) & missing),
-                    -problems[parts.problem],
-                ),
-            )
-        )
-        problems[chosen[-1].problem] += 1
-        missing -= twos(chosen[-1:])
-    return chosen
-
-
-@pytest.mark.product
-def test_every_optimizer_and_network_that_fit_are_played_together() -> None:
-    every = (
-        Parts(*names)
-        for names in itertools.product(
-            PROBLEMS,
-            *(
-                plugins.BUNDLED[kind]
-                for kind in ("representation", "optimizer", "ranking")
-            ),
-        )
-        if names[:2] in pairs()
-    )
-    assert twos(played()) == twos(parts for parts in every if parts.fit())
-
-
 @pytest.mark.product
 @pytest.mark.parametrize(("problem", "representation"), pairs())
 def test_every_compatible_combination_of_parts_runs(
     problem: str, representation: str, lab: Lab
 ) -> None:
-    """Combinations that do not fit are refused in one line."""
-    for parts in played():
-        if parts[:2] == (problem, representation):
-            lab.check(parts)
-    for optimizer, ranking in itertools.product(
-        plugins.BUNDLED["optimizer"], plugins.BUNDLED["ranking"]
+    for parts in fitting(problem, representation):
+        lab.check(parts)
+
+
+@pytest.mark.long
+def test_combinations_that_do_not_fit_are_refused_in_one_line() -> None:
+    for names in itertools.product(
+        PROBLEMS,
+        *(plugins.BUNDLED[kind] for kind in ("representation", "optimizer", "ranking")),
     ):
-        parts = Parts(problem, representation, optimizer, ranking)
+        parts = Parts(*names)
         if not parts.fit():
             with pytest.raises(ConfigError, match=r"^(optimizer|ranking): [^\n]+$"):
                 build(
