@@ -14,6 +14,8 @@ tar -xJf "$sources/stage_ros-1.8.0.tar.xz" -C "$work"
 patch --quiet --directory "$work/stage_ros" --strip 1 < "$sources/stageros-reset.patch"
 # The library alone: no examples, no worlds.
 sed -i -E 's/^ *(ADD_SUBDIRECTORY|add_subdirectory) *\( *(examples|worlds|avonstage) *\)//' "$work/Stage/CMakeLists.txt"
+# Each of its some 40 files reads headers of the C++ library, X and OpenGL through this one.
+echo 'target_precompile_headers(stage PRIVATE stage.hh)' >> "$work/Stage/libstage/CMakeLists.txt"
 
 build() {  # SOURCE OPTION...: build and install it
     from=$1
