@@ -9,7 +9,7 @@ import time
 
 from .schedule import play
 
-CHUNK = 50
+CHUNK = 5
 
 
 def failures(seeds: range) -> list[str]:

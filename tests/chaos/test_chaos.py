@@ -10,9 +10,9 @@ from .schedule import play
 
 CHUNK = 10  # schedules of a test
 # Up to which number schedules are played, with ``make test``, ``make long`` and ``make thorough``.
-SOME, MORE, ALL = 10, 400, 1000
+SOME, MORE, ALL = 10, 200, 1000
 FOUND_WITHIN = 100  # schedules, a planted bug
-# Bugs that only a few schedules show: with ``make long``.
+# Bugs that only a few schedules show: with ``make thorough``.
 RARE = {
     "a_ban_ends_with_the_program",
     "a_batch_is_not_kept",
@@ -107,7 +107,7 @@ def verdict(seed: int) -> str:
 @pytest.mark.parametrize(
     "planted",
     [
-        pytest.param(bug, marks=pytest.mark.long) if bug.__name__ in RARE else bug
+        pytest.param(bug, marks=pytest.mark.thorough) if bug.__name__ in RARE else bug
         for bug in PLANTED
     ],
     indirect=True,
