@@ -26,7 +26,7 @@ from zswarm.protocol.messages import Evaluate, Lease, Part, Refused
 
 pytestmark = pytest.mark.attacks
 
-SECONDS = float(os.environ.get("FUZZ_SECONDS", "20"))
+SECONDS = float(os.environ.get("FUZZ_SECONDS", "10"))
 SEED = int(os.environ.get("FUZZ_SEED", "0")) or secrets.randbits(32)
 MEMORY_MB = 50.0  # more than at the start, which is after a tenth of the time
 LONGEST_S = 120.0

@@ -31,7 +31,7 @@ def wait_until(
     condition: Callable[[], Any],
     what: str,
     deadline_s: float = DEADLINE_S,
-    every_s: float = 0.01,
+    every_s: float = 0.02,
 ) -> Any:
     """Return the condition's first true value, polled often."""
     end = time.monotonic() + deadline_s

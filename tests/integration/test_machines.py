@@ -29,7 +29,7 @@ seed = 6
 generations = 4
 [problem]
 simulator = "emergency-exit"
-trials = 20
+trials = 12
 [problem.settings]
 steps = 3000
 agents = 20
@@ -39,7 +39,7 @@ kind = "fully-meshed"
 kind = "nnga"
 population = 50
 """
-TRIALS = (50 + 3 * 37) * 20
+TRIALS = (50 + 3 * 37) * 12
 DROP_IN = "/run/systemd/system/zswarm-ss.service.d"
 CONFIGURE = "printf 'capacity = 1\\nrequire_keys = true\\n' > /etc/zswarm/ss.toml"
 COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"

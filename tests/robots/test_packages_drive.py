@@ -71,6 +71,13 @@ TARGETS = {
 }
 
 
+# All nodes have one driver.
+ONE = [
+    *(pytest.param(name, marks=pytest.mark.thorough) for name in ("cmake", "ros2")),
+    "zenoh",
+]
+
+
 class Built(NamedTuple):
     """A package that is built: how its node is started."""
 
@@ -384,7 +391,7 @@ def test_a_robot_stops_when_its_sensors_fall_silent(
         assert stands(came[-1])
 
 
-@pytest.mark.parametrize("name", ["cmake", "ros2", "zenoh"])
+@pytest.mark.parametrize("name", ONE)
 def test_a_scanner_with_too_small_a_view_ends_the_drive(
     packages: Callable[[str], Built], name: str
 ) -> None:
@@ -400,7 +407,7 @@ def test_a_scanner_with_too_small_a_view_ends_the_drive(
         )
 
 
-@pytest.mark.parametrize("name", ["cmake", "ros2", "zenoh"])
+@pytest.mark.parametrize("name", ONE)
 def test_a_node_whose_self_test_fails_does_not_drive(tmp_path: Path, name: str) -> None:
     target = TARGETS[name]
     files = target.make(CONTROLLER, "of_a_test", target.profile)

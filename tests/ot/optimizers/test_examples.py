@@ -21,7 +21,7 @@ NAMED = {  # optimizers with the example of what they are known for, and evaluat
     "nnga": ("stadium", 2000),
     "novelty": ("maze", 15_000),
 }
-SOME = {"neat", "nnga"}  # with make long
+SOME = {"nnga"}  # with make long
 # Compared by the score of their archive, also in test_elites.py; and their opponents.
 OTHERWISE = {
     "cma-me": "cma-me",
@@ -151,20 +151,33 @@ def late(parts: Parts, genome: bytes) -> float:
     return float(outcomes.metrics[:, simulator.metrics.index("late")].mean())
 
 
-@pytest.mark.long
-def test_only_a_learning_network_finds_out_what_is_food() -> None:
-    """Others: the champion without its learning rate, and networks that keep their weights."""
-    for seed in range(1, 5):
-        parts, _ = played("food-or-poison", [f"seed={seed}"])
-        champion = parts.optimizer.best()[0]
-        assert late(parts, champion) > 0.8
-        assert late(parts, champion[:-4] + bytes(4)) < 0.6
-    for kept in (
-        '{kind="fully-meshed",hidden=0,iterations=1}',
-        '{kind="fully-meshed",hidden=12}',
-    ):
-        parts, _ = played("food-or-poison", ["seed=1", f"representation={kept}"])
-        assert late(parts, parts.optimizer.best()[0]) < 0.65
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(1, marks=pytest.mark.long),
+        *(pytest.param(seed, marks=pytest.mark.thorough) for seed in range(2, 5)),
+    ],
+)
+def test_a_learning_network_finds_out_what_is_food(seed: int) -> None:
+    """Without its learning rate, the champion does not."""
+    parts, _ = played("food-or-poison", [f"seed={seed}"])
+    champion = parts.optimizer.best()[0]
+    assert late(parts, champion) > 0.8
+    assert late(parts, champion[:-4] + bytes(4)) < 0.6
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [
+        pytest.param(
+            '{kind="fully-meshed",hidden=0,iterations=1}', marks=pytest.mark.thorough
+        ),
+        pytest.param('{kind="fully-meshed",hidden=12}', marks=pytest.mark.long),
+    ],
+)
+def test_networks_that_keep_their_weights_do_not_find_out_what_is_food(kept: str) -> None:
+    parts, _ = played("food-or-poison", ["seed=1", f"representation={kept}"])
+    assert late(parts, parts.optimizer.best()[0]) < 0.65
 
 
 # ---- networks without memory

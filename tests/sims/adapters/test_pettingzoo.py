@@ -50,7 +50,7 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
         {"generations": 5, "runs": 3, "trials": 2, "unseen": 5, "others": 12},
     ),
 ]
-SOME = {"simple_v3", "multiwalker_v9"}  # with make long
+SOME = {"simple_v3"}  # with make long
 KEPT = {
     "pettingzoo": [
         "rps_v2",
@@ -82,7 +82,7 @@ def test_an_environment_keeps_the_contract(simulator: str, environment: str) -> 
     )
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_every_small_environment_keeps_the_contract() -> None:
     for name, family in environments().items():
         if family == "mpe2":

@@ -26,12 +26,17 @@ def test_vmas_is_installed() -> None:
 @pytest.mark.parametrize(
     "scenario",
     [
-        "flocking",
-        "navigation",
         "simple_tag",
         *(
             pytest.param(name, marks=pytest.mark.thorough)
-            for name in ("balance", "dispersion", "simple_world_comm", "wheel")
+            for name in (
+                "balance",
+                "dispersion",
+                "flocking",
+                "navigation",
+                "simple_world_comm",
+                "wheel",
+            )
         ),
     ],
 )
@@ -41,23 +46,17 @@ def test_a_scenario_keeps_the_contract(scenario: str) -> None:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("scenario", "options", "steps", "effort"),
     [
         ("circle_trajectory", {}, 20, {"generations": 8, "trials": 2}),
-        pytest.param(
-            "simple",
-            {},
-            30,
-            {"generations": 10, "trials": 2},
-            marks=pytest.mark.thorough,
-        ),
-        pytest.param(
+        ("simple", {}, 30, {"generations": 10, "trials": 2}),
+        (
             "navigation",
             {"n_agents": 2, "collisions": False},
             30,
             {"generations": 9, "trials": 2},
-            marks=pytest.mark.thorough,
         ),
     ],
 )
