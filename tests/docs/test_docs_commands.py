@@ -103,7 +103,7 @@ GIVEN = {
     "commands.md": "mkdir -p ~/.config/fish/conf.d\n"
     "zswarm-ot run minisim --servers local --set generations=2",
     "export.md": "zswarm-ot run stadium --servers local --set generations=5",
-    "figures.md": "zswarm-ot run stadium --servers local",
+    "figures.md": "zswarm-ot run stadium --servers local --set generations=20",
     "optimizers.md": "zswarm-ot run minisim-elites --servers local --set generations=20",
     "record.md": "zswarm-ot run minisim --servers local",
     "replay.md": "zswarm-ot run stadium --servers local --set generations=5",
@@ -113,6 +113,10 @@ GIVEN = {
 HERE = {
     "ROUTER": "127.0.0.1",
     "--repeat 20": "--repeat 2",
+    "run stadium --seed": "run stadium --set generations=20 --seed",
+    "run stadium   ": "run stadium --set generations=10   ",
+    "run --connect": "run --set generations=10 --connect",
+    "run stadium --connect": "run stadium --set generations=10 --connect",
     "repeat = 5\nbudget = { evaluations = 300 }": "repeat = 2\nbudget = { evaluations = 60 }",
     # Its 100 generations are played in tests/integration/test_own_simulator.py.
     "run lost-robots.toml": "run lost-robots.toml --set generations=10",
