@@ -102,7 +102,7 @@ def test_a_killed_server_disappears_and_the_run_continues(
     page.goto(f"{shown.url}/#token={shown.token}")
     page.get_by_role("link", name="stadium").click(timeout=SLOW_MS)
     expect(page.locator(".badge")).to_contain_text("running", timeout=SLOW_MS)
-    page.get_by_role("link", name="Servers").click()
+    page.get_by_role("link", name="Servers").click(timeout=SLOW_MS)
     rows = {
         name: page.locator(
             "#servers tbody tr", has_text=re.compile(f"{name}-[0-9a-f]{{8}}")

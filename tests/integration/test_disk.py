@@ -14,14 +14,13 @@ from pathlib import Path
 import pytest
 
 from tests.integration import evacuation
-from tests.integration.evacuation import COUNTED
+from tests.integration.evacuation import ASSESSED, COUNTED, HISTORY, STEPS, TRIALS
 from tests.integration.programs import Optimizer, Server, query, wait_until
 from tests.promise.promise import check_prefix, check_run
 from zswarm.ot.record.writer import Record
 
 pytestmark = pytest.mark.faults
 
-STEPS = 6_000  # a run takes some seconds: long enough to disturb it
 CLUSTER = """
 [cluster]
 servers = "local"
@@ -138,11 +137,9 @@ def tmpfs(mount: Mount) -> Path:
 # ---- full
 
 
-def test_a_run_waits_for_disk_space_and_continues(
-    tmp_path: Path, undisturbed: Path, mount: Mount
-) -> None:
+def test_a_run_waits_for_disk_space_and_continues(tmp_path: Path, mount: Mount) -> None:
     """Twice; nothing is evaluated again, and the server keeps the lease."""
-    disk, whole = tmpfs(mount), check_run(undisturbed)
+    disk = tmpfs(mount)
     server = Server(tmp_path, "ss")
     optimizer = run(
         tmp_path, "--out", "disk", "--servers", "1", f"--connect={server.endpoint}"
@@ -174,7 +171,7 @@ def test_a_run_waits_for_disk_space_and_continues(
     finally:
         server.close()
     facts = check_run(at)
-    assert done["history_hash"] == whole.history_hash == facts.history_hash
+    assert done["history_hash"] == facts.history_hash == HISTORY
     assert (done["requeued"], len(leases)) == (0, 1), (
         "the run lost its server while it waited"
     )
@@ -183,7 +180,7 @@ def test_a_run_waits_for_disk_space_and_continues(
 
 
 def test_a_run_that_waits_for_disk_space_can_be_stopped_and_resumed(
-    tmp_path: Path, undisturbed: Path, mount: Mount
+    tmp_path: Path, mount: Mount
 ) -> None:
     disk = tmpfs(mount)
     optimizer = run(tmp_path, "--out", "disk")
@@ -224,16 +221,14 @@ def test_a_run_that_waits_for_disk_space_can_be_stopped_and_resumed(
     )
     ballast.unlink()
     rows = query(at, ROWS)
-    assert (
-        resume(tmp_path, at).done()["history_hash"] == check_run(undisturbed).history_hash
-    )
+    assert resume(tmp_path, at).done()["history_hash"] == HISTORY
     assert query(at, ROWS)[: len(rows)] == rows
     check_run(at)
 
 
 @pytest.mark.parametrize("what", ["run", "study"])
 def test_ctrl_c_ends_a_run_that_waits_for_disk_space(
-    tmp_path: Path, undisturbed: Path, mount: Mount, what: str
+    tmp_path: Path, mount: Mount, what: str
 ) -> None:
     """At whatever it is then: many times, a bit later each time."""
     disk = tmpfs(mount)
@@ -261,12 +256,12 @@ def test_ctrl_c_ends_a_run_that_waits_for_disk_space(
     if what == "study":
         assert done["finished"] == 2
     else:
-        assert done["history_hash"] == check_run(undisturbed).history_hash
+        assert done["history_hash"] == HISTORY
     check_run(at)
 
 
 def test_a_run_in_the_background_that_waits_for_disk_space_ends_by_sigterm(
-    tmp_path: Path, undisturbed: Path, mount: Mount
+    tmp_path: Path, mount: Mount
 ) -> None:
     """What a script starts with & has SIGINT ignored, as a shell arranges it."""
     disk = tmpfs(mount)
@@ -283,15 +278,13 @@ def test_a_run_in_the_background_that_waits_for_disk_space_ends_by_sigterm(
     assert optimizer.wait() == 143
     assert said(optimizer, "Resume with: zswarm-ot resume disk/on-disk") == 1
     ballast.unlink()
-    assert (
-        resume(tmp_path, at).done()["history_hash"] == check_run(undisturbed).history_hash
-    )
+    assert resume(tmp_path, at).done()["history_hash"] == HISTORY
 
 
 # ---- failing
 
 
-def test_a_run_survives_writes_that_fail(tmp_path: Path, undisturbed: Path) -> None:
+def test_a_run_survives_writes_that_fail(tmp_path: Path) -> None:
     """A limit on file sizes, which SQLite reports as an I/O error, is set and lifted again."""
     optimizer = run(tmp_path)
     at, small = tmp_path / "runs" / "on-disk", 30_000
@@ -308,12 +301,12 @@ def test_a_run_survives_writes_that_fail(tmp_path: Path, undisturbed: Path) -> N
     )
     resource.prlimit(optimizer.process.pid, resource.RLIMIT_FSIZE, (most, most))
     wait_until_said(optimizer, "can be written again: the run continues")
-    assert optimizer.done()["history_hash"] == check_run(undisturbed).history_hash
+    assert optimizer.done()["history_hash"] == HISTORY
     check_run(at)
 
 
 def test_a_disk_that_becomes_read_only_loses_nothing_recorded(
-    tmp_path: Path, undisturbed: Path, mount: Mount
+    tmp_path: Path, mount: Mount
 ) -> None:
     """ext4 remounts read-only when the device fails; unrecorded trials are evaluated again."""
     image = tmp_path / "image"
@@ -348,9 +341,7 @@ def test_a_disk_that_becomes_read_only_loses_nothing_recorded(
     mount("disk", "-o", "loop", str(repaired))
     assert len(rows) > 0
     assert query(at, ROWS)[: len(rows)] == rows, "recorded outcomes are gone"
-    assert (
-        resume(tmp_path, at).done()["history_hash"] == check_run(undisturbed).history_hash
-    )
+    assert resume(tmp_path, at).done()["history_hash"] == HISTORY
     check_run(at)
 
 
@@ -379,7 +370,7 @@ def test_a_read_only_folder_is_read_and_not_written(
     listed = start(tmp_path, "list", "list", "disk", "--json")
     assert listed.wait() == 0, listed.err.read_text()
     rows = {Path(row["run"]).name: row for row in listed.lines()[0]["runs"]}
-    assert rows["finished"]["history_hash"] == check_run(undisturbed).history_hash
+    assert rows["finished"]["history_hash"] == HISTORY
     assert [
         rows[name].get("generations") for name in ("on-disk", "copied", "finished")
     ] == [
@@ -428,12 +419,10 @@ def wait_for_a_moment(optimizer: Optimizer, at: Path, until: int, seconds: float
     )
 
 
-def test_a_repeatedly_killed_run_has_the_same_result(
-    tmp_path: Path, undisturbed: Path
-) -> None:
+def test_a_repeatedly_killed_run_has_the_same_result(tmp_path: Path) -> None:
     """The seeded random moments range from before the folder exists to the last generation."""
     draw, at = random.Random(11), tmp_path / "runs" / "on-disk"
-    total = counted(undisturbed)
+    total = TRIALS + ASSESSED
     server = Server(tmp_path, "ss").ready()
     remote = ["--servers", "1", f"--connect={server.endpoint}"]
     kept: list[tuple[object, ...]] = []
@@ -465,9 +454,7 @@ def test_a_repeatedly_killed_run_has_the_same_result(
     facts = check_run(at)
     assert query(at, ROWS)[: len(kept)] == kept
     assert counted(at) == total, "a recorded trial was evaluated again"
-    assert (
-        done["history_hash"] == facts.history_hash == check_run(undisturbed).history_hash
-    )
+    assert done["history_hash"] == facts.history_hash == HISTORY
     assert query(at, "SELECT value > 3 FROM meta WHERE key = 'epoch'") == [(1,)]
 
 
@@ -505,9 +492,7 @@ def test_a_run_killed_at_the_reports_of_short_generations_has_the_same_result(
     assert lost < SHORT // 2, "reported, and not recorded for long"
 
 
-def test_a_log_cut_anywhere_is_the_beginning_of_the_run(
-    tmp_path: Path, undisturbed: Path
-) -> None:
+def test_a_log_cut_anywhere_is_the_beginning_of_the_run(tmp_path: Path) -> None:
     """Copies taken during writing, with the WAL cut at a random length, as after a power cut."""
     draw, at = random.Random(12), tmp_path / "runs" / "on-disk"
     optimizer = run(tmp_path)
@@ -540,9 +525,7 @@ def test_a_log_cut_anywhere_is_the_beginning_of_the_run(
             copies.append(copy)
     done = optimizer.done()
     whole = check_run(at)
-    assert (
-        done["history_hash"] == whole.history_hash == check_run(undisturbed).history_hash
-    )
+    assert done["history_hash"] == whole.history_hash == HISTORY
     assert len(copies) >= 4 * 3
     lengths = []
     for copy in copies:

@@ -11,13 +11,12 @@ from pathlib import Path
 import pytest
 
 from tests.integration import evacuation
-from tests.integration.evacuation import COUNTED, TRIALS
+from tests.integration.evacuation import COUNTED, HISTORY, STEPS, TRIALS
 from tests.integration.lab import Host, Lab
 from tests.integration.programs import Optimizer, Program, query, wait_until
 
 pytestmark = pytest.mark.faults
 
-STEPS = 6_000  # a run takes some seconds: long enough to disturb it
 SERVED = "SELECT count(DISTINCT server) FROM outcomes"
 
 
@@ -95,34 +94,19 @@ def site(tmp_path: Path) -> Iterator[Site]:
         program.close()
 
 
-@pytest.fixture(scope="module")
-def alone(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """Return the history hash of the experiment on one local slot."""
-    folder = tmp_path_factory.mktemp("alone")
-    evacuation.write(folder, "linked", STEPS)
-    options = ["--servers", "local", "--set", "cluster.local_slots=1"]
-    return str(
-        Optimizer(folder, "alone", ["run", "experiment.toml", "--json", *options]).done()[
-            "history_hash"
-        ]
-    )
-
-
 # ---- found directly
 
 
-def test_servers_of_a_plain_lan_are_found_without_an_option(
-    lab: Lab, site: Site, alone: str
-) -> None:
+def test_servers_of_a_plain_lan_are_found_without_an_option(lab: Lab, site: Site) -> None:
     lan = lab.network()
     for _ in range(2):
         site.server(lab.host(lan))
-    assert site.run(lab.host(lan)).done()["history_hash"] == alone
+    assert site.run(lab.host(lan)).done()["history_hash"] == HISTORY
     assert site.counted(SERVED) == 2
 
 
 def test_servers_of_a_plain_lan_that_start_after_the_optimizer_are_found(
-    lab: Lab, site: Site, alone: str
+    lab: Lab, site: Site
 ) -> None:
     """They do the whole rest: the one that was there first is killed before they start."""
     lan = lab.network()
@@ -132,11 +116,11 @@ def test_servers_of_a_plain_lan_that_start_after_the_optimizer_are_found(
     first.kill()
     for _ in range(2):
         site.server(lab.host(lan))
-    assert optimizer.done()["history_hash"] == alone
+    assert optimizer.done()["history_hash"] == HISTORY
     assert site.counted(SERVED) == 3
 
 
-def test_given_endpoints_need_no_multicast(lab: Lab, site: Site, alone: str) -> None:
+def test_given_endpoints_need_no_multicast(lab: Lab, site: Site) -> None:
     lan = lab.network()
     hosts = [lab.host(lan) for _ in range(2)]
     for host in hosts:
@@ -144,7 +128,7 @@ def test_given_endpoints_need_no_multicast(lab: Lab, site: Site, alone: str) -> 
     connect = [f"--connect=tcp/{host.address}:7467" for host in hosts]
     assert (
         site.run(lab.host(lan), "--no-multicast", *connect).done()["history_hash"]
-        == alone
+        == HISTORY
     )
     assert site.counted(SERVED) == 2
 
@@ -153,7 +137,7 @@ def test_given_endpoints_need_no_multicast(lab: Lab, site: Site, alone: str) -> 
 
 
 def test_a_router_introduces_servers_and_may_die_in_the_middle(
-    lab: Lab, site: Site, alone: str
+    lab: Lab, site: Site
 ) -> None:
     """Data flows directly without the router; back again, it introduces a new server."""
     lan = lab.network()
@@ -170,7 +154,7 @@ def test_a_router_introduces_servers_and_may_die_in_the_middle(
         server.kill()
     site.server(hosts[2], *options)
     site.router(middle, "--no-multicast")
-    assert optimizer.done()["history_hash"] == alone
+    assert optimizer.done()["history_hash"] == HISTORY
     assert site.counted(SERVED) == 3
 
 
@@ -181,7 +165,7 @@ def beyond(lab: Lab) -> tuple[Host, list[Host], Host]:
 
 
 def test_a_router_carries_everything_and_may_be_restarted_in_the_middle(
-    lab: Lab, site: Site, alone: str
+    lab: Lab, site: Site
 ) -> None:
     middle, hosts, workstation = beyond(lab)
     router = site.router(middle, "--no-multicast")
@@ -202,7 +186,7 @@ def test_a_router_carries_everything_and_may_be_restarted_in_the_middle(
     )
     assert site.counted() < TRIALS
     site.router(middle, "--no-multicast")
-    assert optimizer.done()["history_hash"] == alone
+    assert optimizer.done()["history_hash"] == HISTORY
     assert site.counted(SERVED) == 2
 
 
