@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration import evacuation
-from tests.integration.evacuation import COUNTED, HISTORY, STEPS, TRIALS
+from tests.integration import asleep
+from tests.integration.asleep import HISTORY, TRIALS
+from tests.integration.evacuation import COUNTED
 from tests.integration.lab import Host, Lab
 from tests.integration.programs import Optimizer, Program, query, wait_until
 
@@ -32,7 +33,7 @@ class Site:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.programs: list[Program] = []
-        evacuation.write(folder, "linked", STEPS)
+        self._environment = asleep.write(folder, "linked")
 
     def server(self, host: Host, *options: str) -> Program:
         arguments = [
@@ -44,10 +45,9 @@ class Site:
             f"ss-{len(self.programs)}",
             *options,
         ]
-        return self._ready(
-            Program(self.folder, f"ss-{len(self.programs)}", arguments, host.inside),
-            "server_ready",
-        )
+        name = f"ss-{len(self.programs)}"
+        server = Program(self.folder, name, arguments, host.inside, **self._environment)
+        return self._ready(server, "server_ready")
 
     def router(self, host: Host, *options: str) -> Program:
         arguments = ["-m", "zswarm.router", *options]
@@ -57,8 +57,9 @@ class Site:
         )
 
     def optimizer(self, host: Host, *arguments: str) -> Optimizer:
+        name = f"ot-{len(self.programs)}"
         started = Optimizer(
-            self.folder, f"ot-{len(self.programs)}", list(arguments), host.inside
+            self.folder, name, list(arguments), host.inside, **self._environment
         )
         self.programs.append(started)
         return started

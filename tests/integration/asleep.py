@@ -1,0 +1,62 @@
+"""The experiment of tests that need a run to last, and nothing to be computed: its trials sleep."""
+
+from pathlib import Path
+
+from tests.integration import programs
+
+SOURCE = """
+import time
+
+import msgspec
+import numpy as np
+
+from zswarm.sims.simulator import Outcome, Simulator, Turn
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    pass
+
+
+class Asleep(Simulator):
+    settings_type = Settings
+    inputs, outputs, owners = 2, 1, (0,)
+
+    def reset(self, seed):
+        self.wanted = seed % 5 / 5
+        return Turn((0,), np.array([[seed % 7 / 7, seed % 3 / 3]], np.float32))
+
+    def step(self, actions):
+        time.sleep(0.003)
+        self.action = float(actions[0, 0])
+        return None
+
+    def outcome(self):
+        return Outcome([-abs(self.action - self.wanted)], [])
+"""
+EXPERIMENT = """
+name = "{name}"
+seed = 3
+generations = 4
+[problem]
+simulator = "asleep"
+trials = 20
+[representation]
+kind = "fully-meshed"
+[optimizer]
+kind = "nnga"
+population = 50
+"""
+TRIALS = (50 + 3 * 37) * 20
+HISTORY = "a4c242424ea75f7345b5c0c050dc2514"
+
+
+def write(folder: Path, name: str) -> dict[str, str]:
+    """Write the experiment and its simulator into a folder; return the programs' environment.
+
+    Nothing is compiled, and so numba is not loaded.
+    """
+    (folder / "experiment.toml").write_text(EXPERIMENT.format(name=name))
+    path = programs.install(
+        folder, "zswarm_asleep", SOURCE, "asleep = zswarm_asleep:Asleep"
+    )
+    return {"PYTHONPATH": path, "ZSWARM_PLAIN": "1"}
