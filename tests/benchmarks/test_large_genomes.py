@@ -10,7 +10,7 @@ import pytest
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "large_genomes.py"
 
 
-@pytest.mark.long
+@pytest.mark.thorough
 def test_large_genomes_are_written_once_in_little_memory(tmp_path: Path) -> None:
     arguments = [sys.executable, str(SCRIPT), "200", "100000", "2", "nnga", "all"]
     done = subprocess.run(

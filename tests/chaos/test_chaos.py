@@ -10,7 +10,7 @@ from .schedule import play
 
 CHUNK = 10  # schedules of a test
 # Up to which number schedules are played, with ``make test``, ``make long`` and ``make thorough``.
-SOME, MORE, ALL = 10, 200, 1000
+SOME, MORE, ALL = 10, 100, 1000
 FOUND_WITHIN = 100  # schedules, a planted bug
 # Bugs that only a few schedules show: with ``make thorough``.
 RARE = {

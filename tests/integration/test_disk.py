@@ -33,8 +33,8 @@ STUDY = """
 repeat = 2
 at_once = 2
 """
-KILLS = 15
-INTERRUPTED = {"run": 10, "study": 3}  # times
+KILLS = 10
+INTERRUPTED = {"run": 5, "study": 2}  # times
 SNAPSHOTS = 8
 SHORT, REPORTED = 400, 4  # generations of some milliseconds, and kills at their reports
 

@@ -267,8 +267,8 @@ def test_a_better_handwritten_controller_scores_higher(task: str, good: float) -
         pytest.param("box-pushing", 1.52, marks=pytest.mark.long),
         pytest.param("turtlebot-exit", -10, marks=pytest.mark.long),
         pytest.param("foraging-physical", 0.82, marks=pytest.mark.long),
-        pytest.param("box-pushing seed=2", 1.52, marks=pytest.mark.long),
-        pytest.param("box-pushing seed=3", 1.52, marks=pytest.mark.long),
+        pytest.param("box-pushing seed=2", 1.52, marks=pytest.mark.thorough),
+        pytest.param("box-pushing seed=3", 1.52, marks=pytest.mark.thorough),
     ],
 )
 def test_the_example_evolves_a_better_controller_than_the_one_written_by_hand(

@@ -27,7 +27,8 @@ RECORDED = {
 }
 T_95 = 2.776  # Student's t of four degrees of freedom: two times three runs
 # docs/epuck.md says how much the runs of AutoMoDe's missions depend on two starts.
-MISSIONS = ("aggregation", "foraging", "gridexploration")
+SLOWEST = "foraging"
+MISSIONS = ("aggregation", SLOWEST, "gridexploration")
 MISSIONS += tuple(
     f"chocolate_{mission}" for mission in ("aac", "sca", "spc", "lcn", "cfa")
 )
@@ -84,8 +85,16 @@ def test_random_controllers_score_as_in_argos(mission: str, number: int) -> None
     assert abs(fitness.mean() - mean) <= max(T_95 * width, 0.1 * abs(mean)), fitness
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("mission", MISSIONS)
+@pytest.mark.parametrize(
+    "mission",
+    [
+        pytest.param(
+            mission,
+            marks=pytest.mark.thorough if mission == SLOWEST else pytest.mark.long,
+        )
+        for mission in MISSIONS
+    ],
+)
 def test_all_controllers_score_as_in_argos(mission: str) -> None:
     """Networks and machines that others published, with the noise of design and of reality."""
     argos = comparison()
