@@ -37,7 +37,7 @@ fuzz: $(READY)
 programs: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m programs $(ARGS)
 
-# Every combination of simulators, networks, optimizers and rankings, with real programs: some hours.
+# Every combination of simulators, networks, optimizers and rankings, with real programs.
 product: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m product $(ARGS)
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from tests.integration import programs
+from tests.integration.evacuation import EXPERIMENT
 
 SOURCE = """
 import time
@@ -33,20 +34,7 @@ class Asleep(Simulator):
     def outcome(self):
         return Outcome([-abs(self.action - self.wanted)], [])
 """
-EXPERIMENT = """
-name = "{name}"
-seed = 3
-generations = 4
-[problem]
-simulator = "asleep"
-trials = 20
-[representation]
-kind = "fully-meshed"
-[optimizer]
-kind = "nnga"
-population = 50
-"""
-TRIALS = (50 + 3 * 37) * 20
+# Of a run on one slot.
 HISTORY = "a4c242424ea75f7345b5c0c050dc2514"
 
 
@@ -55,7 +43,8 @@ def write(folder: Path, name: str) -> dict[str, str]:
 
     Nothing is compiled, and so numba is not loaded.
     """
-    (folder / "experiment.toml").write_text(EXPERIMENT.format(name=name))
+    experiment = EXPERIMENT.format(name=name, simulator="asleep", settings="")
+    (folder / "experiment.toml").write_text(experiment)
     path = programs.install(
         folder, "zswarm_asleep", SOURCE, "asleep = zswarm_asleep:Asleep"
     )

@@ -7,11 +7,10 @@ name = "{name}"
 seed = 3
 generations = 4
 [problem]
-simulator = "emergency-exit"
+simulator = "{simulator}"
 trials = 20
 [problem.settings]
-steps = {steps}
-agents = 20
+{settings}
 [representation]
 kind = "fully-meshed"
 [optimizer]
@@ -28,5 +27,7 @@ COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 def write(folder: Path, name: str, steps: int, more: str = "") -> str:
     """Write the experiment into a folder; 4,000 steps take a millisecond."""
     file = folder / "experiment.toml"
-    file.write_text(EXPERIMENT.format(name=name, steps=steps) + more)
+    settings = f"steps = {steps}\nagents = 20"
+    parts = {"simulator": "emergency-exit", "settings": settings}
+    file.write_text(EXPERIMENT.format(name=name, **parts) + more)
     return str(file)

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from tests.integration import asleep
-from tests.integration.asleep import HISTORY, TRIALS
-from tests.integration.evacuation import COUNTED
+from tests.integration.asleep import HISTORY
+from tests.integration.evacuation import COUNTED, TRIALS
 from tests.integration.lab import Host, Lab
 from tests.integration.programs import Optimizer, Program, query, wait_until
 
