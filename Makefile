@@ -77,7 +77,7 @@ stage: $(READY)
 	@if [ ! -e $(THIRD_PARTY)/stage-4.3.tar.xz ]; then echo "Stage is not built: no sources in $(THIRD_PARTY)"; \
 	elif ! command -v cmake g++ fluid catkin_make >/dev/null; then echo "Stage is not built: cmake, g++, fluid or catkin is missing"; \
 	else $(MAKE) --no-print-directory build/stage/ready; fi
-	RESETS=$(or $(RESETS),25) $(BIN)/python -m pytest -m stage tests/ros/stage $(ARGS)
+	RESETS=$(or $(RESETS),10) $(BIN)/python -m pytest -m "stage and not thorough" tests/ros/stage $(ARGS)
 
 # What systemd says of the units.
 units: $(READY)
@@ -89,7 +89,7 @@ kills: $(READY)
 
 # Results with the oldest and newest Python, numpy and numba; those between them are with make thorough.
 bits-everywhere: $(READY)
-	$(BIN)/python -m pytest -n 2 -m "versions and not thorough" tests/bits $(ARGS)
+	$(BIN)/python -m pytest -m "versions and not thorough" tests/bits $(ARGS)
 
 lint: $(READY)
 	$(BIN)/ruff check .
