@@ -34,17 +34,23 @@ class Asleep(Simulator):
     def outcome(self):
         return Outcome([-abs(self.action - self.wanted)], [])
 """
-# Of a run on one slot.
+# A run of some seconds, which is long enough to disturb it.
 HISTORY = "a4c242424ea75f7345b5c0c050dc2514"
 
 
-def write(folder: Path, name: str) -> dict[str, str]:
-    """Write the experiment and its simulator into a folder; return the programs' environment.
+def write(folder: Path, name: str, more: str = "") -> str:
+    """Write the experiment into a folder."""
+    file = folder / "experiment.toml"
+    parts = {"simulator": "asleep", "settings": ""}
+    file.write_text(EXPERIMENT.format(name=name, **parts) + more)
+    return str(file)
+
+
+def installed(folder: Path) -> dict[str, str]:
+    """Write the simulator into a folder; return the environment of programs that play it.
 
     Nothing is compiled, and so numba is not loaded.
     """
-    experiment = EXPERIMENT.format(name=name, simulator="asleep", settings="")
-    (folder / "experiment.toml").write_text(experiment)
     path = programs.install(
         folder, "zswarm_asleep", SOURCE, "asleep = zswarm_asleep:Asleep"
     )

@@ -19,8 +19,6 @@ population = 50
 """
 TRIALS = (50 + 3 * 37) * 20
 ASSESSED = TRIALS // 10  # more, at the end
-# A run that takes some seconds, which is long enough to disturb it; and its history hash.
-STEPS, HISTORY = 6_000, "3264067c9b0b301178ad615676c28d78"
 COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 
 

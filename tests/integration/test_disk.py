@@ -13,11 +13,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration import evacuation
-from tests.integration.evacuation import ASSESSED, COUNTED, HISTORY, STEPS, TRIALS
+from tests.integration import asleep, evacuation
+from tests.integration.asleep import HISTORY
+from tests.integration.evacuation import ASSESSED, COUNTED, TRIALS
 from tests.integration.programs import Optimizer, Server, query, wait_until
 from tests.promise.promise import check_prefix, check_run
 from zswarm.ot.record.writer import Record
+from zswarm.plugins import registry as plugins
 
 pytestmark = pytest.mark.faults
 
@@ -40,6 +42,21 @@ SHORT, REPORTED = 400, 4  # generations of some milliseconds, and kills at their
 
 Mount = Callable[..., Path]
 STARTED: list[Optimizer] = []
+
+
+@pytest.fixture(scope="module", autouse=True)
+def sleeping(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Have trials that sleep here and in the programs."""
+    folder = tmp_path_factory.mktemp("asleep")
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in asleep.installed(folder).items():
+            patch.setenv(name, value)
+        patch.syspath_prepend(folder)
+        for cached in (plugins.entry_points, plugins._installed):
+            cached.cache_clear()
+        yield
+    for cached in (plugins.entry_points, plugins._installed):
+        cached.cache_clear()
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +101,7 @@ def run(folder: Path, *options: str, name: str = "run") -> Optimizer:
         folder,
         name,
         "run",
-        evacuation.write(folder, "on-disk", STEPS, CLUSTER),
+        asleep.write(folder, "on-disk", CLUSTER),
         "--json",
         *options,
     )
@@ -233,7 +250,7 @@ def test_ctrl_c_ends_a_run_that_waits_for_disk_space(
     """At whatever it is then: many times, a bit later each time."""
     disk = tmpfs(mount)
     if what == "study":
-        file = evacuation.write(tmp_path, "on-disk", STEPS, CLUSTER + STUDY)
+        file = asleep.write(tmp_path, "on-disk", CLUSTER + STUDY)
         start(tmp_path, "run", "run", file, "--out", "disk", "--json")
     else:
         run(tmp_path, "--out", "disk")
@@ -265,7 +282,7 @@ def test_a_run_in_the_background_that_waits_for_disk_space_ends_by_sigterm(
 ) -> None:
     """What a script starts with & has SIGINT ignored, as a shell arranges it."""
     disk = tmpfs(mount)
-    file = evacuation.write(tmp_path, "on-disk", STEPS, CLUSTER)
+    file = asleep.write(tmp_path, "on-disk", CLUSTER)
     background = ["env", "--ignore-signal=INT"]
     arguments = ["run", file, "--out", "disk", "--json"]
     STARTED.append(optimizer := Optimizer(tmp_path, "run", arguments, background))
@@ -459,9 +476,10 @@ def test_a_repeatedly_killed_run_has_the_same_result(tmp_path: Path) -> None:
 
 
 def test_a_run_killed_at_the_reports_of_short_generations_has_the_same_result(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What was reported a moment before may be lost; what is recorded is a beginning of the run."""
+    monkeypatch.delenv("ZSWARM_PLAIN")
     more = f"{CLUSTER}[assessment]\nbudget = 0.0\n"
     file = Path(evacuation.write(tmp_path, "on-disk", steps=10, more=more))
     short = file.read_text().replace("generations = 4", f"generations = {SHORT}")

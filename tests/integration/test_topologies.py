@@ -33,7 +33,8 @@ class Site:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.programs: list[Program] = []
-        self._environment = asleep.write(folder, "linked")
+        asleep.write(folder, "linked")
+        self._environment = asleep.installed(folder)
 
     def server(self, host: Host, *options: str) -> Program:
         arguments = [
