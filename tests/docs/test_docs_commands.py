@@ -319,6 +319,7 @@ def test_the_commands_of_a_page_work(page: Path, tmp_path: Path) -> None:
         "HOME": str(tmp_path),
         "RUNTIME_DIRECTORY": str(tmp_path),
         "ZSWARM_CACHE": cache,
+        "MPLCONFIGDIR": platformdirs.user_cache_dir("matplotlib"),
         "ZSWARM_KEYS": "none",
         "COLUMNS": "100",
         "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
