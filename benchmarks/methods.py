@@ -91,7 +91,9 @@ def main() -> None:
         for seed in range(1, seeds + 1)
     ]
     found: dict[tuple[str, str], list[np.ndarray]] = {}
-    with multiprocessing.get_context("spawn").Pool(len(os.sched_getaffinity(0))) as pool:
+    with multiprocessing.get_context("spawn").Pool(
+        1 if options.quick else len(os.sched_getaffinity(0))
+    ) as pool:
         for number, (run, curve) in enumerate(pool.imap(learn, runs), 1):
             found.setdefault((run.task, run.method), []).append(curve)
             if number % seeds == 0:

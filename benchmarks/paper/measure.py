@@ -33,6 +33,7 @@ class Plan(NamedTuple):
     """The amount of work to measure."""
 
     rounds: int = 3  # of the four designs
+    figure_4: Size = Size()  # the paper's
     designs_steps: int = 50
     crowd_steps: int = 20  # of minisim beside them
     grid_agents: tuple[int, ...] = (1, 8)
@@ -51,6 +52,7 @@ class Plan(NamedTuple):
 
 QUICK = Plan(
     rounds=1,
+    figure_4=Size(2, 4),
     designs_steps=10,
     crowd_steps=10,
     grid_agents=(1, 2),
@@ -140,7 +142,7 @@ def _parts(
 def _designs(name: str, optimize: Optimize, plan: Plan, *, rounds: int) -> list[Row]:
     """Run the same optimization by each design, on emergency exit and minisim."""
     rows = [
-        _row("designs", name, optimize, World(steps=plan.designs_steps), Size(), 1)
+        _row("designs", name, optimize, World(steps=plan.designs_steps), plan.figure_4, 1)
         for _ in range(rounds)
     ]
     if not name.startswith("files"):
@@ -150,7 +152,7 @@ def _designs(name: str, optimize: Optimize, plan: Plan, *, rounds: int) -> list[
                 name,
                 optimize,
                 World("minisim", steps=plan.crowd_steps),
-                Size(),
+                plan.figure_4,
                 1,
             )
             for _ in range(rounds)
@@ -189,7 +191,7 @@ def _scaling(
                     name,
                     optimize,
                     World("minisim", 8, steps, plan.scaling_step_s),
-                    Size(),
+                    plan.figure_4,
                     count,
                 )
                 for steps in plan.scaling_steps

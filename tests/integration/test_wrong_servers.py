@@ -104,7 +104,9 @@ def test_a_server_that_computes_wrong_is_named_and_the_history_is_the_same(
     assert checker.wait() == 0, checker.err.read_text()
 
 
-@pytest.mark.parametrize("machine", ["127.0.0.2", "broken"])
+@pytest.mark.parametrize(
+    "machine", ["127.0.0.2", pytest.param("broken", marks=pytest.mark.thorough)]
+)
 def test_no_wrong_outcome_of_a_machine_with_five_servers_stays_nor_after_a_resume(
     tmp_path: Path, path: str, machine: str
 ) -> None:

@@ -60,7 +60,10 @@ def test_a_server_behind_a_slow_link_makes_no_generation_slower(
 
 @pytest.mark.parametrize(
     "times",
-    [3.0, *(pytest.param(times, marks=pytest.mark.long) for times in (1.0, 2.0, 5.0))],
+    [
+        3.0,
+        *(pytest.param(times, marks=pytest.mark.thorough) for times in (1.0, 2.0, 5.0)),
+    ],
 )
 def test_slow_machines_make_no_generation_slower(times: float) -> None:
     """Whether they come first or last."""

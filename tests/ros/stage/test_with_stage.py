@@ -17,7 +17,7 @@ pytestmark = pytest.mark.stage
 ROOM = {"robots": 3, "map": "open", "epsilon": 0.6}
 STEP = "lockstep 0.2"
 DEADLINE_S = 300.0  # at full speed Stage sends more than a loaded machine takes
-RESETS = int(os.environ.get("RESETS", "25"))
+RESETS = int(os.environ.get("RESETS", "10"))
 
 
 def starts() -> np.ndarray:
