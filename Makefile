@@ -45,7 +45,7 @@ product: $(READY)
 vmas: build/vmas/ready
 	build/vmas/bin/python -m pytest -m "vmas and not thorough" tests/sims/adapters/test_vmas.py tests/ot/analysis/test_trackers.py $(ARGS)
 
-# Dashboard and player in a real browser: chromium (Debian: apt install chromium).
+# Dashboard and player in a real browser (Debian: apt install chromium-headless-shell, or chromium).
 browser: $(READY)
 	$(BIN)/python -m pytest $(TESTS) -m browser $(ARGS)
 
@@ -77,7 +77,7 @@ stage: $(READY)
 	@if [ ! -e $(THIRD_PARTY)/stage-4.3.tar.xz ]; then echo "Stage is not built: no sources in $(THIRD_PARTY)"; \
 	elif ! command -v cmake g++ fluid catkin_make >/dev/null; then echo "Stage is not built: cmake, g++, fluid or catkin is missing"; \
 	else $(MAKE) --no-print-directory build/stage/ready; fi
-	RESETS=$(or $(RESETS),10) $(BIN)/python -m pytest -m "stage and not thorough" tests/ros/stage $(ARGS)
+	RESETS=$(or $(RESETS),10) $(BIN)/python -m pytest -m stage tests/ros/stage $(ARGS)
 
 # What systemd says of the units.
 units: $(READY)

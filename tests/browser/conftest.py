@@ -14,7 +14,8 @@ import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 expect.set_options(timeout=60_000)  # on a busy machine
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or "chromium"
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser")
+CHROMIUM = next(filter(None, map(shutil.which, BROWSERS)), "chromium")
 
 
 @pytest.fixture(scope="session")
