@@ -20,6 +20,7 @@ import platformdirs
 import pytest
 
 from tests.docs.documents import DOCUMENTS, REPOSITORY, Block, blocks
+from tests.integration.programs import without_pictures
 from zswarm import experiment
 from zswarm.plugins import registry as plugins
 
@@ -109,6 +110,8 @@ GIVEN = {
     "replay.md": "zswarm-ot run stadium --servers local --set generations=5",
     "robots.md": "zswarm-ot run turtlebot-exit --servers local --set generations=2",
 }
+# Pages whose runs draw pictures, which takes as long as many of these runs.
+PICTURED = {"README.md", "figures.md", "optimizers.md", "own-simulator.md", "tutorial.md"}
 # Instead of what a page says, what is so here.
 HERE = {
     "ROUTER": "127.0.0.1",
@@ -312,6 +315,9 @@ def test_the_commands_of_a_page_work(page: Path, tmp_path: Path) -> None:
     (steps / "install.py").write_text(INSTALL)
     (steps / "interrupt.py").write_text(INTERRUPT)
     text, done = script(page, steps)
+    path = [str(folder), str(REPOSITORY)]
+    if page.name not in PICTURED:
+        path = [without_pictures(tmp_path), *path]
     cache = os.environ.get("ZSWARM_CACHE") or platformdirs.user_cache_dir("zswarm")
     environment = os.environ | {
         "FOLDER": str(folder),
@@ -323,7 +329,7 @@ def test_the_commands_of_a_page_work(page: Path, tmp_path: Path) -> None:
         "ZSWARM_KEYS": "none",
         "COLUMNS": "100",
         "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",
-        "PYTHONPATH": os.pathsep.join(filter(None, [str(folder), str(REPOSITORY)])),
+        "PYTHONPATH": os.pathsep.join(path),
         "PYTHONDONTWRITEBYTECODE": "1",
     }
     ended = subprocess.run(

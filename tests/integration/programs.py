@@ -42,6 +42,14 @@ def wait_until(
     raise AssertionError(f"not within {deadline_s:g} s: {what}")
 
 
+def without_pictures(folder: Path) -> str:
+    """Return what PYTHONPATH must begin with for programs that find no matplotlib."""
+    hidden = folder / "no-pictures"
+    hidden.mkdir(exist_ok=True)
+    (hidden / "sitecustomize.py").write_text(NO_PICTURES)
+    return str(hidden)
+
+
 class Program:
     """A process with its output in files; ``inside`` (a ``lab.Host``'s) precedes its command."""
 
@@ -163,11 +171,9 @@ class Optimizer(Program):
         **environment: str,
     ) -> None:
         if not picture:
-            hidden = folder / "no-pictures"
-            hidden.mkdir(exist_ok=True)
-            (hidden / "sitecustomize.py").write_text(NO_PICTURES)
             path = environment.get("PYTHONPATH", os.environ.get("PYTHONPATH", ""))
-            environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(hidden), path]))
+            without = [without_pictures(folder), path]
+            environment["PYTHONPATH"] = os.pathsep.join(filter(None, without))
         super().__init__(
             folder, name, ["-m", "zswarm.ot", *arguments], inside, **environment
         )

@@ -168,7 +168,7 @@ def test_a_damaged_record_gives_the_right_history_or_a_clear_error(
 @pytest.mark.parametrize(
     ("number", "count"),
     [
-        pytest.param(0, 400, marks=pytest.mark.long),
+        pytest.param(0, 200, marks=pytest.mark.long),
         *(
             pytest.param(number, 500, marks=pytest.mark.thorough)
             for number in range(1, 5)

@@ -55,7 +55,6 @@ def ranks(fitness: np.ndarray) -> np.ndarray:
     return below + ((fitness[:, None] == fitness).sum(axis=1) - 1) / 2
 
 
-@pytest.mark.thorough
 def test_twenty_controllers_rank_in_stage_as_with_contact_stall(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
