@@ -37,7 +37,7 @@ population = 10
 """
 SMALL = {
     "emergency-exit": "{agents = 4, steps = 20}",
-    "minisim": "{steps = 40, robots = 3}",
+    "minisim": "{steps = 20, robots = 3}",
 }
 COUNTED = "SELECT coalesce(sum(count), 0) FROM outcomes"
 ASKED = '--set=cluster.controller="optimizer"'

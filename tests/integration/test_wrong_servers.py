@@ -12,6 +12,12 @@ from tests.repository import REPOSITORY
 pytestmark = pytest.mark.faults
 
 
+@pytest.fixture(autouse=True)
+def uncompiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have programs compile nothing: to load numba takes longer than these trials."""
+    monkeypatch.setenv("ZSWARM_PLAIN", "1")
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> str:
     folder = tmp_path / "site"
