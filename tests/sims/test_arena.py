@@ -322,13 +322,14 @@ def test_random_controllers_do_badly_and_one_written_by_hand_does_better(
     assert by_hand(task, UNSEEN[:2]) > good
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("task", "share"),
     [
-        pytest.param("aggregation", 1.5, marks=pytest.mark.long),
-        pytest.param("dispersion", 1.1, marks=pytest.mark.thorough),
-        pytest.param("foraging", 1.05, marks=pytest.mark.thorough),
-        pytest.param("consensus", 1.1, marks=pytest.mark.thorough),
+        ("aggregation", 1.5),
+        ("dispersion", 1.1),
+        ("foraging", 1.05),
+        ("consensus", 1.1),
     ],
 )
 def test_the_example_evolves_a_better_controller_than_the_one_written_by_hand(

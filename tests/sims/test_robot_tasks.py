@@ -264,9 +264,9 @@ def test_a_better_handwritten_controller_scores_higher(task: str, good: float) -
 @pytest.mark.parametrize(
     ("example", "between"),
     [
-        pytest.param("box-pushing", 1.52, marks=pytest.mark.thorough),
+        pytest.param("box-pushing", 1.52, marks=pytest.mark.long),
         pytest.param("turtlebot-exit", -10, marks=pytest.mark.long),
-        pytest.param("foraging-physical", 0.82, marks=pytest.mark.thorough),
+        pytest.param("foraging-physical", 0.82, marks=pytest.mark.long),
         pytest.param("box-pushing seed=2", 1.52, marks=pytest.mark.thorough),
         pytest.param("box-pushing seed=3", 1.52, marks=pytest.mark.thorough),
     ],

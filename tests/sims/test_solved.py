@@ -116,7 +116,7 @@ def test_a_pendulum_is_swung_up_and_kept_there() -> None:
     assert evolved.metrics(np.zeros(1, np.uint64))["upright"] > 0.85
 
 
-@pytest.mark.thorough
+@pytest.mark.long
 def test_a_robot_finds_lights_that_it_never_saw_in_evolution() -> None:
     evolved = Evolved("light", 1)
     fitness = at_random(evolved.problem) / 20

@@ -204,7 +204,7 @@ def reached(seed: int, optimizer: dict[str, object]) -> float:
     return evolving.best()[1]
 
 
-@pytest.mark.thorough
+@pytest.mark.long
 def test_a_long_genome_evolves_faster_than_with_a_genetic_algorithm() -> None:
     """Five seeds: the swarm leaves the stadium in time, with as many evaluations as nnga."""
     ours = [reached(seed, {}) for seed in range(1, 6)]

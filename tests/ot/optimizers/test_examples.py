@@ -172,7 +172,7 @@ def test_a_learning_network_finds_out_what_is_food(seed: int) -> None:
         pytest.param(
             '{kind="fully-meshed",hidden=0,iterations=1}', marks=pytest.mark.thorough
         ),
-        pytest.param('{kind="fully-meshed",hidden=12}', marks=pytest.mark.thorough),
+        pytest.param('{kind="fully-meshed",hidden=12}', marks=pytest.mark.long),
     ],
 )
 def test_networks_that_keep_their_weights_do_not_find_out_what_is_food(kept: str) -> None:
