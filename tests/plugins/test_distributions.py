@@ -171,6 +171,7 @@ def test_a_large_file_is_read_once_until_it_is_changed(
     assert read.count("world.map") == 1
     (site / "zswarm_dataful/maps/world.map").write_bytes(b"a larger map")
     version_hash.version_hash.cache_clear()
+    version_hash._contents.cache_clear()
     version_hash.version_hash(NAME, "neat")
     assert read.count("world.map") == 2
 

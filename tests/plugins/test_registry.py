@@ -164,8 +164,8 @@ def test_all_files_of_a_plugins_package_are_in_its_hash(install: Install) -> Non
     } == set(files)
     before = version_hash("labyrinth", "fully-meshed"), cache_hash()
     (folder / "swarm_extra/deep/walls.py").write_text("A = 2")
-    version_hash.cache_clear()
-    cache_hash.cache_clear()
+    for remembered in (version_hash, cache_hash, version_hashes._contents):
+        remembered.cache_clear()
     assert version_hash("labyrinth", "fully-meshed") != before[0]
     assert cache_hash() != before[1]
 

@@ -118,9 +118,14 @@ def names(kind: Kind) -> list[str]:
     return sorted({*_installed(kind), *foreign(kind)})
 
 
+def _manifest(kind: Kind, name: str) -> Path | None:
+    """Return the manifest of a name that no bundled part or plug-in has."""
+    return None if name in _installed(kind) else foreign(kind).get(name)
+
+
 def load(kind: Kind, name: str) -> Any:
     """Return the class of a name, or raise ``UnknownPlugin``."""
-    if manifest := foreign(kind).get(name):
+    if manifest := _manifest(kind, name):
         return importlib.import_module(_maker(manifest)).simulator_class(name, manifest)
     point = _entry_point(kind, name)
     try:
@@ -154,7 +159,7 @@ def source_files(kind: Kind, name: str) -> list[Path]:
 
     Bundled modules of simulators, representations and robots that these import are added.
     """
-    if manifest := foreign(kind).get(name):
+    if manifest := _manifest(kind, name):
         own = sorted(_bundled_files(_maker(manifest)))
         return [*manifests.files(manifest), *own, *_imports(own)]
     point = _entry_point(kind, name)
@@ -197,7 +202,7 @@ def plugin_files() -> list[Path]:
 
 def distribution_versions(kind: Kind, name: str) -> dict[str, str]:
     """Return name and version of the distribution that a plug-in came with; bundled parts: {}."""
-    if foreign(kind).get(name) or name in BUNDLED[kind]:
+    if name in BUNDLED[kind] or _manifest(kind, name):
         return {}
     source = _entry_point(kind, name).dist
     return {source.name: source.version} if source is not None else {}
@@ -226,13 +231,14 @@ def _bundled_files(module: str) -> Iterator[Path]:
     yield from PACKAGE.joinpath(*folders).glob(f"{own}*.py")
 
 
-def _imported(file: Path) -> set[Path]:
+@cache  # many import the same
+def _imported(file: Path) -> frozenset[Path]:
     found = set[Path]()
     for module, names in IMPORT.findall(_text(file)):
         path = PACKAGE.joinpath(*module.split("."))
         found.update((path.with_suffix(".py"), path / "__init__.py"))
         found.update(path / f"{name}.py" for name in re.findall(r"\w+", names))
-    return {path for path in found if path.is_file()}
+    return frozenset(path for path in found if path.is_file())
 
 
 def _text(file: Path) -> str:

@@ -18,7 +18,7 @@ import hashlib
 import os
 import platform
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import takewhile
@@ -57,10 +57,19 @@ SHARED = [
 @cache
 def version_hash(simulator: str, representation: str) -> str:
     """Return 32 hex digits for the code of a simulator and a representation."""
-    files = [*_files("simulator", simulator), *_files("representation", representation)]
     further = _further(_libraries(simulator, representation))
     further = further | _distributions(simulator, representation)
-    return digest(files, "".join(f"{name} {found}\n" for name, found in further.items()))
+    total = _shared().copy()
+    total.update("".join(f"{name} {found}\n" for name, found in further.items()).encode())
+    total.update(_contents("simulator", simulator))
+    total.update(_contents("representation", representation))
+    return total.hexdigest()
+
+
+@cache
+def _contents(kind: plugins.Kind, name: str) -> bytes:
+    """Return what the files of a part add to a hash."""
+    return b"".join(_hashed(_files(kind, name)))
 
 
 @cache  # a server asks for each part as often as there are parts of the other kind
@@ -156,8 +165,8 @@ def _compiled() -> list[Path]:
 def digest(files: Iterable[Path], text: str = "") -> str:
     """Return 32 hex digits for the shared and given files, the libraries' versions, and a text."""
     total = _shared().copy()
-    total.update(text.encode())
-    return _hashed(total, files).hexdigest()
+    total.update(text.encode() + b"".join(_hashed(files)))
+    return total.hexdigest()
 
 
 @cache
@@ -165,7 +174,8 @@ def _shared() -> "hashlib.blake2b":
     total = hashlib.blake2b(digest_size=16)
     for name, found in _installed().items():
         total.update(f"{name} {found}\n".encode())
-    return _hashed(total, _shared_files())
+    total.update(b"".join(_hashed(_shared_files())))
+    return total
 
 
 def _shared_files() -> list[Path]:
@@ -185,11 +195,11 @@ def _installed() -> dict[str, str]:
 
 @cache
 def _code(kind: plugins.Kind, name: str) -> str:
-    return _short(_files(kind, name))
+    return hashlib.blake2b(_contents(kind, name), digest_size=4).hexdigest()
 
 
 def _short(files: Iterable[Path]) -> str:
-    return _hashed(hashlib.blake2b(digest_size=4), files).hexdigest()
+    return hashlib.blake2b(b"".join(_hashed(files)), digest_size=4).hexdigest()
 
 
 @cache
@@ -227,14 +237,14 @@ def _version(library: str) -> str:
         return NONE
 
 
-def _hashed(total: "hashlib.blake2b", files: Iterable[Path]) -> "hashlib.blake2b":
+def _hashed(files: Iterable[Path]) -> Iterator[bytes]:
+    """Yield what each file adds to a hash: its name and the digest of its content."""
     for file in files:
         # One that was removed since it was listed, such as an editor's, counts for nothing.
         with contextlib.suppress(FileNotFoundError):
             found = file.stat()
             content = _content(file, found.st_mtime_ns, found.st_size, found.st_ino)
-            total.update(file.name.encode() + content)
-    return total
+            yield file.name.encode() + content
 
 
 @cache  # files are in the hashes of many problems, and may be large

@@ -1,12 +1,14 @@
 """Log to stderr: for people on a terminal, otherwise one JSON object per line.
 
-structlog is imported with the first line, because it loads rich and asyncio: this machine's slots,
-which log warnings only, start without it.
+structlog is imported with the first line, because it loads asyncio: this machine's slots, which log
+warnings only, start without it.
 """
 
+import contextlib
 import functools
 import logging
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 from zswarm.system import terminal
@@ -46,9 +48,27 @@ def _log(level: str, event: str, fields: dict[str, Any]) -> None:
         getattr(_logger(), level)(event, **fields)
 
 
+@contextlib.contextmanager
+def _without_rich() -> Iterator[None]:
+    """Let modules find no rich while they are imported, unless it is there already.
+
+    structlog takes five times as long to import with it, and would format tracebacks, which are
+    text before structlog sees them.
+    """
+    if "rich" in sys.modules:
+        yield
+        return
+    sys.modules["rich"] = None  # type: ignore[assignment]  # as where it is not installed
+    try:
+        yield
+    finally:
+        del sys.modules["rich"]
+
+
 @functools.cache
 def _logger() -> Any:
-    import structlog
+    with _without_rich():
+        import structlog
 
     last: structlog.typing.Processor = structlog.processors.JSONRenderer()
     if sys.stderr.isatty():
