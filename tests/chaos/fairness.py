@@ -42,7 +42,8 @@ class Fairness:
             begun: when each slot began what it does; None if it is idle.
         """
         leases = [lease for lease in table.leases.values() if not lease.failure]
-        if table.draining or len(leases) < 2:
+        served = all(len(lease.slots) >= lease.wanted for lease in leases)
+        if table.draining or len(leases) < 2 or served:
             self._missing = 0  # whoever comes next waits from then on
             return ""
         free = sum(slot.state == "free" for slot in table.slots)

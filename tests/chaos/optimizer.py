@@ -133,7 +133,7 @@ class Optimizer(Node[events.Event]):
             )
             self.workload.counted[trials], self.workload.faulted[trials] = True, faulted
             self.workload.source[trials] = server
-        self._once = [1] * len(self.workload.seeds)
+        self._once = np.ones(len(self.workload.seeds), int)
         self.handle(events.Work(self.workload))
 
     def _slots_held(self) -> int:
@@ -367,9 +367,9 @@ class Optimizer(Node[events.Event]):
             ]
             places.append(np.flatnonzero(batches.workload.counted))
             found = np.bincount(np.concatenate(places), minlength=len(self._once))
-            once = np.array(self._once)
+            once = self._once.copy()
             once[list(batches.second.pairs)] += 1
-            if found.tolist() != once.tolist():
+            if not np.array_equal(found, once):
                 self.world.fail(f"{self.name}: a trial is lost, or in two places")
         for server in servers:
             if server.batches and server.phase not in (Phase.LEASED, Phase.LEAVING):

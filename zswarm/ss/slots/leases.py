@@ -248,28 +248,35 @@ class LeaseTable(dict[tuple[str, str], HeldLease]):
             return
         rights, shares = self.sharing.shares(self.values(), len(slots), self._out.now)
         free += self._take_back(shares, slots, len(free))
+        if free:
+            self._assign(free, shares)
+        for lease in shares:
+            lease.lent = max(0, min(lease.lent, rights[lease] - len(lease.slots)))
+
+    def _assign(self, free: list[Slot], shares: dict[HeldLease, int]) -> None:
+        """Give free slots to the leases that have fewer than their share."""
         surplus: Counter[str] = Counter()
         for lease, share in shares.items():
             surplus[lease.user] += len(lease.slots) - share
         # Who still has slots that are to be given back when a chunk ends comes after others.
         for lease in sorted(shares, key=lambda lease: surplus[lease.user]):
-            share = shares[lease]
             known = {slot.index for slot in free if lease.prepared(slot)}
             free.sort(key=lambda slot: (slot.index not in known, slot.index))
-            while free and len(lease.slots) < share:
+            while free and len(lease.slots) < shares[lease]:
                 slot = free.pop(0)
                 slot.move("assigned", self._out.now)
                 slot.lease, slot.deaths = lease, 0
                 lease.slots.append(slot)
-            lease.lent = max(0, min(lease.lent, rights[lease] - len(lease.slots)))
 
     def _take_back(
         self, shares: dict[HeldLease, int], slots: list[Slot], free: int
     ) -> list[Slot]:
         """Take idle slots of leases that have too many, as far as others have too few."""
         missing = sum(max(0, share - len(lease.slots)) for lease, share in shares.items())
-        missing -= free + sum(slot.state == "stopping" for slot in slots)
         taken: list[Slot] = []
+        if missing <= 0:
+            return taken
+        missing -= free + sum(slot.state == "stopping" for slot in slots)
         for lease, share in shares.items():
             idle = [slot for slot in lease.slots if slot.state in ("ready", "assigned")]
             surplus = min(len(lease.slots) - share, missing - len(taken))

@@ -199,7 +199,7 @@ class HeldLease(msgspec.Struct, eq=False):
     def got_on(self, now: float) -> bool:
         """Return whether the run is to know how far it is now."""
         known, since = self.reported
-        return self.progress() != known and now - since >= REPORT_S
+        return now - since >= REPORT_S and self.progress() != known
 
     def status(self) -> Lease:
         """Return the message that reports the state, as in the table above."""

@@ -355,6 +355,8 @@ class SlotTable:
 
     def _answer_renewals(self, lease: HeldLease) -> None:
         """Answer renewals that have news, were held for long, or are too many."""
+        if not lease.renewals:
+            return
         renewals, lease.renewals = lease.renewals, []
         for later, renewal in zip(range(len(renewals))[::-1], renewals, strict=True):
             known = renewal.known_ready == lease.ready() and not lease.failure
