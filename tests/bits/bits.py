@@ -6,7 +6,8 @@ results of the networks' operators, and what short runs of each optimizer varian
 propose, receive and store on the smallest problem. Finally, cover every pair of simulator and
 network. With ``few``, play few and short trials, for plain Python; with ``versions``, also omit the
 pairs, and the runs of the optimizers but for one network, and for the one that ``neat`` needs; with
-``brief``, also omit the simulator that takes half of the time to compile.
+``brief``, also omit the simulator that takes half of the time to compile; with ``sample``, all
+simulators but one.
 """
 
 import contextlib
@@ -30,7 +31,8 @@ from zswarm.plugins import registry as plugins
 from zswarm.sims.turns import play_turns
 
 BRIEF = sys.argv[1:] == ["brief"]
-VERSIONS = BRIEF or sys.argv[1:] == ["versions"]
+SAMPLE = sys.argv[1:] == ["sample"]
+VERSIONS = BRIEF or SAMPLE or sys.argv[1:] == ["versions"]
 FEW = VERSIONS or sys.argv[1:] == ["few"]
 # Of a trial, if not as many as the simulator's settings say.
 STEPS = 25 if FEW else None
@@ -48,6 +50,7 @@ SIMULATORS = [
     if set(plugins.libraries(plugins.source_files("simulator", name))) <= {"pymunk"}
     and name != "turtlebot-exit-ros"
     and not (BRIEF and name == "epuck")
+    and (not SAMPLE or name == SIMULATOR)
 ]
 # Settings of short trials in which what genomes do makes a difference.
 SMALL: dict[str, dict[str, Any]] = {

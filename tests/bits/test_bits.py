@@ -20,6 +20,11 @@ from zswarm.plugins import registry as plugins
 
 # The C library is asked by pymunk for sines and powers.
 OLDEST_C_LIBRARY = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-AVX512F,-FMA,-FMA4"}
+ALL_VECTORS = {
+    "NUMBA_OPT": "max",
+    "NUMBA_LOOP_VECTORIZE": "1",
+    "NUMBA_SLP_VECTORIZE": "1",
+}
 # The only place where numpy says what it chooses from.
 NUMPY_FEATURES = """
 from numpy._core import _multiarray_umath as compiled_numpy
@@ -93,10 +98,22 @@ def test_plain_python_gives_the_same_bits_as_the_kernels() -> None:
     )
 
 
-@pytest.mark.thorough
-def test_numba_that_does_not_compile_gives_the_same_bits() -> None:
-    """It runs the same Python as without it."""
-    assert bits("few", NUMBA_DISABLE_JIT="1") == here("few")
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "way",
+    [
+        pytest.param({"NUMBA_OPT": "0"}, id="without-optimization"),
+        pytest.param(ALL_VECTORS, id="all-vectors"),
+        pytest.param({"NUMBA_DISABLE_JIT": "1"}, id="not-compiled"),
+    ],
+)
+def test_each_way_to_compile_gives_the_same_bits(
+    way: dict[str, str], tmp_path: Path
+) -> None:
+    """Compare all networks in one simulator."""
+    found = bits("sample", ZSWARM_CACHE=str(tmp_path), **way)
+    assert len(found) > 40
+    assert found == here("sample")
 
 
 @pytest.mark.thorough

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.bits.test_bits import bits, oldest_processor
+from tests.bits.test_bits import ALL_VECTORS, bits, oldest_processor
 from tests.repository import REPOSITORY
 
 pytestmark = pytest.mark.versions
@@ -28,7 +28,6 @@ OLDEST = ("numba", "numpy")
 # Ways to compile.
 USUAL: dict[str, str] = {}
 PLAIN = {"ZSWARM_PLAIN": "1"}
-MOST = {"NUMBA_OPT": "max", "NUMBA_LOOP_VECTORIZE": "1", "NUMBA_SLP_VECTORIZE": "1"}
 VERSION = "import sys; print('{}.{}'.format(*sys.version_info))"
 UV = shutil.which("uv")
 
@@ -110,7 +109,7 @@ def here(compared: str) -> dict[str, str | int]:
             for how in (
                 (SUPPORTED[0], True, USUAL),
                 (SUPPORTED[0], True, {"NUMBA_OPT": "0"}),
-                *((python, False, MOST) for python in SUPPORTED),
+                *((python, False, ALL_VECTORS) for python in SUPPORTED),
             )
         ),
     ],
