@@ -14,7 +14,7 @@ import contextlib
 import hashlib
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Literal, get_args, get_origin
 
 import msgspec
@@ -129,8 +129,21 @@ def problem(
     return name, *evaluate.build(simulator, rules, network, shape)
 
 
-def played(simulator: Any, network: Any) -> tuple[bytes, int]:
-    """Return outcomes of a batch and of one trial in turns, and how many outcomes are distinct."""
+def compiling(call: Callable[[], Any]) -> tuple[Any, int]:
+    """Return what a call returns, and how many functions it compiles."""
+    if "numba" not in sys.modules:
+        return call(), 0
+    from numba.core import event
+
+    with event.install_recorder("numba:compile") as compiled:
+        return call(), len(compiled.buffer)
+
+
+def played(simulator: Any, network: Any) -> tuple[bytes, int, int]:
+    """Return outcomes of a batch and of one trial in turns.
+
+    Also return how many outcomes are distinct, and what the batch compiled after warming up.
+    """
     genomes = network.random(GENOMES, Stream(3))
     if network.genes is None:  # new ones are all of one structure
         stream = Stream(6)
@@ -145,17 +158,18 @@ def played(simulator: Any, network: Any) -> tuple[bytes, int]:
             for _ in SEEDS
         ]
     )
-    outcomes = evaluate.evaluate(
-        simulator, network, genomes, participants, np.tile(SEEDS, GENOMES)
+    seeds = np.tile(SEEDS, GENOMES)
+    evaluate.warm_up(simulator, network)
+    outcomes, later = compiling(
+        lambda: evaluate.evaluate(simulator, network, genomes, participants, seeds)
     )
     fitness, metrics = np.empty(simulator.participants), np.empty(len(simulator.metrics))
     controllers = Networks(network, network.parameters(genomes)[participants[0]])
     play_turns(simulator, controllers, int(SEEDS[0]), fitness, metrics)
     numbers = np.concatenate([outcomes.fitness, outcomes.metrics], axis=1)
     different = {row.tobytes() for row in numbers[:: len(SEEDS)]}
-    return b"".join(array.tobytes() for array in (numbers, fitness, metrics)), len(
-        different
-    )
+    joined = b"".join(array.tobytes() for array in (numbers, fitness, metrics))
+    return joined, len(different), later
 
 
 def operated(network: Any) -> bytes:
@@ -213,12 +227,13 @@ def drawn() -> bytes:
 
 
 def results() -> Iterator[tuple[str, bytes | int]]:
-    """Yield name and bytes of everything, and how many outcomes differ."""
+    """Yield name and bytes of everything, and the counts of ``played``."""
     yield "draws", drawn()
     for name, simulator, network in problems():
-        outcomes, different = played(simulator, network)
+        outcomes, different, later = played(simulator, network)
         yield f"{name}: outcomes", outcomes
         yield f"{name}: different", different
+        yield f"{name}: compiled after warming up", later
     for representation in plugins.names("representation"):
         _, simulator, network = problem(SMALLEST, representation, {}, {})
         yield f"{representation}: operators", operated(network)

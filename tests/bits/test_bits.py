@@ -61,6 +61,8 @@ def bits(
     )
     assert done.returncode == 0, done.stderr
     found: dict[str, str | int] = json.loads(done.stdout)
+    later = [name for name, count in found.items() if "compiled" in name and count]
+    assert later == [], "a batch compiles what warming up did not"
     return found
 
 
