@@ -511,7 +511,7 @@ def test_a_daemon_survives_random_bytes_on_every_key(tmp_path: Path) -> None:
             opened.liveliness().declare_token(f"zswarm/v1/default/ot/{user}/{user}/alive")
             for user in ("someone", "UPPER", "a_b")
         ]
-        end = time.monotonic() + 10.0
+        end = time.monotonic() + 30.0
         while time.monotonic() < end:
             key = f"zswarm/v1/default/ss/{name}/{draw.choice(verbs)}"
             body = draw.randbytes(draw.choice([0, 1, 16, 300, 20_000]))

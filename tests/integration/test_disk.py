@@ -35,7 +35,7 @@ STUDY = """
 repeat = 2
 at_once = 2
 """
-KILLS = 10
+KILLS = 15
 INTERRUPTED = {"run": 5, "study": 2}  # times
 SNAPSHOTS = 8
 SHORT, REPORTED = 400, 4  # generations of some milliseconds, and kills at their reports

@@ -246,15 +246,9 @@ def test_java_evolves_as_the_bundled_simulator_does_though_it_is_killed(
     )
 
 
-@pytest.mark.parametrize(
-    ("language", "field"),
-    [
-        pytest.param("c", "random", marks=pytest.mark.long),
-        pytest.param("java", "stadium", marks=pytest.mark.long),
-        pytest.param("c", "stadium", marks=pytest.mark.thorough),
-        pytest.param("java", "random", marks=pytest.mark.thorough),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("language", ["c", "java"])
+@pytest.mark.parametrize("field", ["random", "stadium"])
 def test_whole_runs_have_the_same_history(
     language: str, field: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

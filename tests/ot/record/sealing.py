@@ -2,6 +2,7 @@
 
 import contextlib
 import sqlite3
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -39,16 +40,16 @@ def _events(database: sqlite3.Connection) -> None:
 
 def _generations(database: sqlite3.Connection) -> None:
     history = History(START)
+    outcomes = defaultdict[int, list[int]](list)  # there is no index by generation
+    for generation, doubtful, written in database.execute(
+        "SELECT generation, doubtful, digest FROM outcomes"
+    ):
+        outcomes[generation].append(~written if doubtful else written)
     for (generation,) in database.execute(
         "SELECT generation FROM generations ORDER BY generation"
     ).fetchall():
         _candidates(database, generation, history)
-        rows = database.execute(
-            "SELECT doubtful, digest FROM outcomes WHERE generation = ?", (generation,)
-        ).fetchall()
-        trials = digests.total(
-            ~written if doubtful else written for doubtful, written in rows
-        )
+        trials = digests.total(outcomes[generation])
         database.execute(
             "UPDATE generations SET history = ?, outcomes = ? WHERE generation = ?",
             (history.value, trials, generation),
@@ -78,11 +79,10 @@ def _candidates(database: sqlite3.Connection, generation: int, history: History)
         digest(genome) if isinstance(genome, bytes) else former
         for _, genome, _, _, former in rows
     ]
-    for (candidate, *_), written in zip(rows, found, strict=True):
-        database.execute(
-            "UPDATE candidates SET digest = ? WHERE (generation, candidate) = (?, ?)",
-            (written, generation, candidate),
-        )
+    database.executemany(
+        "UPDATE candidates SET digest = ? WHERE (generation, candidate) = (?, ?)",
+        [(written, generation, row[0]) for row, written in zip(rows, found, strict=True)],
+    )
     with contextlib.suppress(TypeError, ValueError):  # measures that are no numbers
         measures = [np.frombuffer(row[3] or b"", "<f8") for row in rows]
         fitness = np.array([row[2] for row in rows], np.float64)
