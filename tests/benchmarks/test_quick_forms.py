@@ -22,7 +22,7 @@ ELSEWHERE = {  # target: what checks it
     "fuzz": "tests/attacks/test_fuzz.py",
     "paper": "tests/benchmarks/test_paper.py",
     "product": "tests/integration/test_every_part.py and tests/bits, with fewer combinations",
-    "kills": "the faults, with KILLS=20",
+    "kills": "the faults, with as many kills",
     "reference": "tests/docs/test_docs.py",
     "scale": "bench --quick has it",
     "thorough": "the same tests with less of it",
