@@ -1,6 +1,7 @@
 """Messages come through whole, and any bytes end in a message or in ``RemoteProtocolError``."""
 
 import json
+import os
 import struct
 import unicodedata
 from collections.abc import Callable
@@ -37,8 +38,8 @@ from zswarm.protocol.messages import (
 from zswarm.system.text import clean
 
 T = TypeVar("T")
-# The same every time, and short.
-FUZZ = settings(derandomize=True, max_examples=100)
+# The same every time, and fewer where CI is not set.
+FUZZ = settings(derandomize=True, max_examples=500 if os.environ.get("CI") else 100)
 pack = msgspec.msgpack.encode
 # Characters that clean() leaves as they are.
 SHOWN = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), max_size=40)

@@ -15,7 +15,7 @@ from zswarm.security import bundle, certificates
 
 FUZZ = settings(
     derandomize=True,
-    max_examples=50,
+    max_examples=200 if os.environ.get("CI") else 50,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 

@@ -32,7 +32,7 @@ from zswarm.security.members import Role, SignedMembers
 
 FUZZ = settings(
     derandomize=True,
-    max_examples=50,
+    max_examples=150 if os.environ.get("CI") else 50,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 FILES = ("authority.pem", "certificate.pem", "key.pem", "members.json")

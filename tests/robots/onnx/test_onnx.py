@@ -76,16 +76,15 @@ def tolerance(evolved: Controller) -> float:
 def compare(kind: tuple[str, dict[str, Any]], seed: int, steps: int) -> None:
     evolved = controller(*kind, seed=seed)
     running, driver = Running(model(evolved, "x")["zs_x.onnx"]), evolved.driver()
-    near, acted = tolerance(evolved), set()
-    for number, observation in enumerate(observed(evolved.inputs, steps, seed)):
-        action, expected = running.act(observation), driver.act(observation)
-        if np.abs(expected).max() > LARGEST:
+    near, actions, expected = tolerance(evolved), [], []
+    for observation in observed(evolved.inputs, steps, seed):
+        action = driver.act(observation).copy()
+        if np.abs(action).max() > LARGEST:
             break
-        np.testing.assert_allclose(
-            action, expected, rtol=near, atol=near, err_msg=f"step {number}"
-        )
-        acted.add(expected.tobytes())
-    assert len(acted) > 1
+        expected.append(action)
+        actions.append(running.act(observation))
+    np.testing.assert_allclose(actions, expected, rtol=near, atol=near)
+    assert len({action.tobytes() for action in expected}) > 1
 
 
 @pytest.mark.parametrize("kind", KNOWN, ids=named)
@@ -96,9 +95,7 @@ def test_a_model_decides_like_the_network_within_the_tolerance(
 
 
 @pytest.mark.robots
-@pytest.mark.parametrize(
-    "seed", [1, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (2, 3, 4))]
-)
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
 @pytest.mark.parametrize("kind", KNOWN, ids=named)
 def test_a_model_stays_within_the_tolerance_for_a_thousand_steps(
     kind: tuple[str, dict[str, Any]], seed: int

@@ -201,18 +201,21 @@ def test_bundled_parts_work_with_the_least_memory_that_may_be_asked_for(
     assert limit(slot, "Max core file size") == "0"
     assert int(Path(f"/proc/{pid(slot)}/oom_score_adj").read_text()) >= 500
     network = build(simulator, {}, representation, {})[1]
+    in_parallel = simulator == "emergency-exit" and network.step_lanes is not None
     genomes = network.random(3, Stream(1))
     participants, seeds = np.arange(3, dtype="<u4").tobytes(), bytes(24)
     batch = Evaluate(
         lease=bytes(16), batch=5, genomes=genomes, participants=participants, seeds=seeds
     )
-    fitness = []
+    fitness, last = [], []
     for first, end in ((0, 3), (0, 1), (1, 2), (2, 3)):
         slot.run(RunChunk(0, codec.cut(batch, first, end), first))
         finished = answer(slot)
         assert isinstance(finished, Finished)
         assert isinstance(finished.reply, Outcomes)
         fitness.append(finished.reply.fitness)
+        last.append(slot.trial())
+    assert last == [0 if in_parallel else 2, 0, 0, 0], "counted in each chunk"
     assert len(fitness[0]) == 3 * 8
     assert b"".join(fitness[1:]) == fitness[0], (
         "a trial that is played alone decides the same"
@@ -335,14 +338,23 @@ def test_a_message_waits_for_the_next_process_unless_that_is_killed(
 def test_a_process_that_cannot_be_started_is_tried_again(
     new_worker: Callable[..., Worker], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    slot = new_worker()
+    """The reason is logged when it happens again."""
+    slot, logged = new_worker(), list[tuple[str, str]]()
     slot.kill()
     with monkeypatch.context() as patch:
         patch.setattr(parent._context, "Process", Unborn)
+        patch.setattr(
+            parent.log,
+            "warning",
+            lambda event, **fields: logged.append((event, fields["reason"])),
+        )
         for _ in range(2):
             slot.start()
             assert answer(slot) is None
             assert slot.missing_from(0.0) == math.inf
+        ((event, reason),) = logged
+        assert event == "slot_pauses"
+        assert reason.startswith("could not be started: no more processes; ")
         assert slot.pipe is None
         assert slot.pauses(time.monotonic())
     start(slot)
