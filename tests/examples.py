@@ -1,5 +1,6 @@
 """Runs of the examples in this process, without servers and records."""
 
+import math
 from collections.abc import Sequence
 
 from zswarm import experiment
@@ -9,9 +10,16 @@ from zswarm.ot.generation import Assessment
 
 
 def played(
-    name: str, changes: Sequence[str], evaluations: int = 10**9
+    name: str,
+    changes: Sequence[str],
+    evaluations: int = 10**9,
+    enough: float = math.inf,
 ) -> tuple[Parts, int]:
-    """Run an example in this process; return its parts and the number of evaluations."""
+    """Run an example in this process; return its parts and the number of evaluations.
+
+    The run ends with its last generation, or with the first one that reaches the number of
+    evaluations or has a candidate whose fitness is enough.
+    """
     loaded = experiment.load(experiment.find(name), list(changes))
     complete = experiment.complete(loaded, name)
     parts, told = build(complete), 0
@@ -31,6 +39,6 @@ def played(
             more = assessment.advance()
         optimizer.tell(assessment.fitness(), assessment.measures(optimizer.measures))
         told += len(assessment.genomes)
-        if told >= evaluations:
+        if told >= evaluations or optimizer.best()[1] >= enough:
             break
     return parts, told

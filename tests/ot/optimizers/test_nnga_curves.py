@@ -43,16 +43,13 @@ def learning_curve(
 def test_the_median_of_runs_is_not_below_frevos_lower_quartile(
     field: str, trials: int, golden: str
 ) -> None:
-    seeds, generations = 10, (50, 100, 199)
+    """This holds for ten runs, and in the first 100 generations for five of them."""
     simulator = EmergencyExit(EmergencyExitSettings(field=field))
     curves = np.array(
-        [
-            learning_curve(simulator, trials, seed, generations[-1])
-            for seed in range(seeds)
-        ]
+        [learning_curve(simulator, trials, seed, 199) for seed in range(10)]
     )
-    for generation in generations:
-        median = float(np.median(curves[:, generation]))
+    for seeds, generation in ((5, 50), (5, 100), (10, 50), (10, 100), (10, 199)):
+        median = float(np.median(curves[:seeds, generation]))
         assert median >= CURVES[golden]["q25"][generation], (
             f"generation {generation}: median of {seeds} seeds {median}"
         )

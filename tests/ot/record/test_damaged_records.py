@@ -22,6 +22,7 @@ from tests.ot.record.recorded import (
     texts,
 )
 from zswarm.errors import ConfigError
+from zswarm.ot.dashboard.run_index import RunIndex
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.summary import list_runs
 from zswarm.ot.record.writer import Record
@@ -242,7 +243,25 @@ def test_a_resume_of_a_damaged_record_is_refused(folder: Path, sql: str) -> None
     assert str(caught.value).isprintable()
 
 
+def put_hostile_history_hash(folder: Path) -> None:
+    """Replace the history hash; it is calculated from generations if there are any."""
+    edit(folder, "DELETE FROM generations")
+    edit(folder, "UPDATE meta SET value = ? WHERE key = 'history_hash'", EVIL)
+
+
+def test_a_hostile_history_hash_is_listed_without_its_escapes(folder: Path) -> None:
+    """What reads more of the run refuses it."""
+    put_hostile_history_hash(folder)
+    (listed,), (shown,) = list_runs(folder.parent), RunIndex([folder.parent]).rows()
+    for row in (listed, shown):
+        assert "[bold]" in row["history_hash"]
+        assert all(text.isprintable() for text in texts(row))
+    assert "run.sqlite: damaged: " in refusal(folder)
+
+
 def test_hostile_names_are_listed_without_their_escapes(folder: Path) -> None:
+    """Names of folders, and history hashes."""
+    put_hostile_history_hash(folder)
     folder.rename(folder.with_name("evil \x1b[2J[bold]\u202e\n"))
     for option in ([], ["--json"]):
         command = [sys.executable, "-m", "zswarm.ot", "list", str(folder.parent), *option]
