@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import zswarm
+from tests.parameters import some
 from zswarm import evaluate, experiment
 from zswarm.ot import evaluator
 from zswarm.ot.cluster import connection
@@ -518,8 +519,9 @@ def test_waiting_for_servers_ends(monkeypatch: pytest.MonkeyPatch) -> None:
                 cluster.evaluate(problem, problem.random(2))
 
 
-def test_closing_ends_evaluations_of_other_threads() -> None:
-    problem = zswarm.problem("emergency-exit", trials=5_000)
+@pytest.mark.parametrize("trials", some([5_000, 50_000], 5_000))
+def test_closing_ends_evaluations_of_other_threads(trials: int) -> None:
+    problem = zswarm.problem("emergency-exit", trials=trials)
     cluster = zswarm.connect("local", local_slots=1)
     with ThreadPoolExecutor(1) as threads:
         call = threads.submit(cluster.evaluate, problem, problem.random(500))

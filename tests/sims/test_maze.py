@@ -35,8 +35,12 @@ def seen(**world: float) -> list[float]:
     return [float(number) for number in begun(**world)._turn().observations[0]]
 
 
-def test_trials_of_one_step_keep_the_contract() -> None:
-    check_simulator(Maze, {"map": "medium", "steps": 1})
+@pytest.mark.parametrize("settings", [{}, {"map": "medium", "steps": 1}])
+def test_trials_of_400_steps_and_of_one_keep_the_contract(
+    settings: dict[str, Any],
+) -> None:
+    """Play the default, 400 steps, and one step."""
+    check_simulator(Maze, settings)
 
 
 @pytest.mark.parametrize("name", ["medium", "hard"])

@@ -261,24 +261,8 @@ def test_a_better_handwritten_controller_scores_higher(task: str, good: float) -
     assert by_hand(task, UNSEEN[:4], f"clever_{task}") > good
 
 
-@pytest.mark.parametrize(
-    ("example", "between"),
-    [
-        pytest.param("box-pushing", 1.52, marks=pytest.mark.long),
-        pytest.param("turtlebot-exit", -10, marks=pytest.mark.long),
-        pytest.param("foraging-physical", 0.82, marks=pytest.mark.long),
-        pytest.param("box-pushing seed=2", 1.52, marks=pytest.mark.thorough),
-        pytest.param("box-pushing seed=3", 1.52, marks=pytest.mark.thorough),
-    ],
-)
-def test_the_example_evolves_a_better_controller_than_the_one_written_by_hand(
-    example: str, between: float
-) -> None:
-    """Compare the recorded champion with it on unseen seeds.
-
-    In box pushing, champions reach 1.58, 1.57 and 1.61, the controller written by hand 1.46.
-    """
-    genome = champions.champion(example)
+def does_better_than_by_hand(example: str, genome: bytes, between: float) -> None:
+    """Check on unseen seeds that a fitness lies between those of the two controllers."""
     unseen = champions.on_seeds(champions.problem(example), genome, UNSEEN)
     task = example.split(" ")[0].replace("-", "_")
     assert by_hand(task, UNSEEN) < between < unseen.fitness.mean()
@@ -286,3 +270,33 @@ def test_the_example_evolves_a_better_controller_than_the_one_written_by_hand(
         escaped, _, seconds = unseen.metrics.mean(axis=0)
         assert escaped > 9.4
         assert 22 < seconds < 31
+
+
+@pytest.mark.parametrize(
+    ("example", "between"),
+    [
+        pytest.param("box-pushing", 1.52, marks=pytest.mark.long),
+        pytest.param("foraging-physical", 0.82, marks=pytest.mark.long),
+        pytest.param("box-pushing seed=2", 1.52, marks=pytest.mark.thorough),
+        pytest.param("box-pushing seed=3", 1.52, marks=pytest.mark.thorough),
+    ],
+)
+def test_the_recorded_champion_is_better_than_the_controller_written_by_hand(
+    example: str, between: float
+) -> None:
+    """In box pushing, champions reach 1.58, 1.57 and 1.61, the controller written by hand 1.46."""
+    does_better_than_by_hand(example, champions.champion(example), between)
+
+
+@pytest.mark.parametrize(
+    ("example", "between"),
+    [
+        pytest.param("turtlebot-exit", -10, marks=pytest.mark.long),
+        pytest.param("foraging-physical", 0.82, marks=pytest.mark.thorough),
+    ],
+)
+def test_the_example_evolves_a_better_controller_than_the_one_written_by_hand(
+    example: str, between: float
+) -> None:
+    """Evolve it here: its bits depend on the processor and on the release of pymunk."""
+    does_better_than_by_hand(example, champions.evolve(example), between)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.stats import mannwhitneyu
 
 from tests.parameters import some
 from zswarm import experiment
@@ -12,9 +13,11 @@ from zswarm.ot.problem import Problem
 
 
 class Evolved:
-    """Evolve an example from a run seed, with some changes."""
+    """Evolve an example from a run seed, with some changes, until it has a fitness."""
 
-    def __init__(self, name: str, seed: int, *changes: str) -> None:
+    def __init__(
+        self, name: str, seed: int, *changes: str, until: float = np.inf
+    ) -> None:
         path = experiment.find(name)
         complete = experiment.complete(
             experiment.load(path, [f"seed={seed}", *changes]), str(path)
@@ -25,6 +28,8 @@ class Evolved:
             genomes = optimizer.ask()
             optimizer.tell(judged(self.problem, genomes, generation))
             self.history.append(optimizer.best()[1])
+            if self.history[-1] > until:
+                break
         self.champion = optimizer.best()[0]
 
     def metrics(self, seeds: np.ndarray) -> dict[str, float]:
@@ -71,21 +76,18 @@ def test_xor_is_solved_early_and_exact_later(seed: int) -> None:
     assert evolved.metrics(np.zeros(1, np.uint64))["correct"] == 4
 
 
-@pytest.mark.thorough
+@pytest.mark.long
 def test_xor_is_solved_from_every_seed() -> None:
     """Solve all 100 runs within 200 generations.
 
     At least 95 succeed within the example's 100 generations, and half within 10.
     """
     histories = [
-        np.array(Evolved("xor", seed, "generations=200").history) for seed in range(100)
+        Evolved("xor", seed, "generations=200", until=-0.25).history
+        for seed in range(100)
     ]
-    took = sorted(
-        int(np.argmax(history > -0.25)) + 1
-        for history in histories
-        if history[-1] > -0.25
-    )
-    assert len(took) == 100
+    assert all(history[-1] > -0.25 for history in histories)
+    took = sorted(len(history) for history in histories)
     assert took[94] <= 100
     assert took[49] <= 10
 
@@ -128,14 +130,20 @@ def test_a_robot_finds_lights_that_it_never_saw_in_evolution() -> None:
     assert evolved.metrics(unseen)["found"] > 0.5
 
 
-@pytest.mark.thorough
-def test_champions_of_varied_rooms_do_better_in_held_out_rooms() -> None:
-    """Compare ten champions of varied rooms with ten of fixed rooms; all ten are better in both.
+@pytest.mark.parametrize(
+    "runs",
+    [
+        pytest.param(5, marks=pytest.mark.long),
+        pytest.param(10, marks=pytest.mark.thorough),
+    ],
+)
+def test_champions_of_varied_rooms_do_better_in_held_out_rooms(runs: int) -> None:
+    """Compare champions of varied rooms with as many of fixed rooms, in rooms of both kinds.
 
     Varied rooms differ in their numbers of agents, exits and blockades.
     """
     varied, fixed = (
-        [Evolved(name, seed) for seed in range(1, 11)]
+        [Evolved(name, seed) for seed in range(1, runs + 1)]
         for name in ("crowds", "emergency-exit")
     )
     unseen = np.array(
@@ -147,6 +155,7 @@ def test_champions_of_varied_rooms_do_better_in_held_out_rooms() -> None:
             for some in (varied, fixed)
         )
         assert (better > worse).all()
+        assert mannwhitneyu(better, worse, alternative="greater").pvalue < 0.01
         assert np.median(better) > np.median(worse) + least
 
 

@@ -42,7 +42,14 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     (
         "simple_speaker_listener_v4",
         {},
-        {"generations": 10, "trials": 4, "representation": TWO_NETS},
+        {
+            "generations": 8,
+            "trials": 4,
+            "runs": 4,
+            "unseen": 10,
+            "others": 12,
+            "representation": TWO_NETS,
+        },
     ),
     (
         "multiwalker_v9",
@@ -50,7 +57,7 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
         {"generations": 5, "runs": 3, "trials": 2, "unseen": 5, "others": 12},
     ),
 ]
-SOME = {"simple_v3"}  # with make long
+SOME = {"simple_v3", "simple_speaker_listener_v4"}  # with make long
 KEPT = {
     "pettingzoo": [
         "rps_v2",
@@ -82,7 +89,7 @@ def test_an_environment_keeps_the_contract(simulator: str, environment: str) -> 
     )
 
 
-@pytest.mark.thorough
+@pytest.mark.long
 def test_every_small_environment_keeps_the_contract() -> None:
     for name, family in environments().items():
         if family == "mpe2":
