@@ -1,30 +1,48 @@
 """Servers and optimizers as real processes on loopback, with deadlines instead of sleeps."""
 
 import contextlib
+import functools
+import itertools
 import json
 import os
-import secrets
 import signal
 import socket
 import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 DEADLINE_S = 600.0  # for what ends at once, on a machine that computes much else
+PORTS = 500  # of a process of tests
 NO_PICTURES = "import sys\nsys.modules['matplotlib'] = None\n"
 
 
+@functools.cache
+def _ports() -> tuple[Iterator[int], socket.socket]:
+    """Return ports, again and again, that no other process of tests uses while this one lives.
+
+    The kernel gives none of them to an outgoing connection. The socket, which is kept, claims them
+    by its name.
+    """
+    claim = socket.socket(socket.AF_UNIX)
+    for first in range(10_000, 30_000, PORTS):
+        with contextlib.suppress(OSError):
+            claim.bind(f"\0zswarm-ports-{first}")
+            return itertools.cycle(range(first, first + PORTS)), claim
+    raise AssertionError("other processes of tests claim all ports")
+
+
 def free_port() -> int:
-    """Return one that the kernel gives to no outgoing connection of another test meanwhile."""
-    while True:
-        port = 10_000 + secrets.randbelow(20_000)
+    """Return a port that nobody listens on."""
+    ports, _ = _ports()
+    for port in itertools.islice(ports, PORTS):
         with socket.socket() as probe, contextlib.suppress(OSError):
             probe.bind(("127.0.0.1", port))
             return port
+    raise AssertionError("no port is free")
 
 
 def wait_until(
