@@ -42,14 +42,17 @@ class Fairness:
             begun: when each slot began what it does; None if it is idle.
         """
         leases = [lease for lease in table.leases.values() if not lease.failure]
-        served = all(len(lease.slots) >= lease.wanted for lease in leases)
-        if table.draining or len(leases) < 2 or served:
+        lacking = [one for one in leases if len(one.slots) < one.wanted]
+        if table.draining or len(leases) < 2 or not lacking:
             self._missing = 0  # whoever comes next waits from then on
             return ""
         free = sum(slot.state == "free" for slot in table.slots)
         idle = any(lease.idle(clock, LEND_S) for lease in leases)
-        if free and not idle and any(len(one.slots) < one.wanted for one in leases):
+        if free and not idle:
             return "a slot is free that is wanted"
+        if not any(map(_works, lacking)):
+            self._missing = 0
+            return ""
         missing, found = _compare(leases, len(table.slots))
         missing -= free + sum(slot.state == "stopping" for slot in table.slots)
         found = found if missing > 0 else []
@@ -69,6 +72,10 @@ class Fairness:
     def passed(self, table: SlotTable, seconds: float) -> str:
         """Let time pass; return whose turn does not come, or ""."""
         leases = [lease for lease in table.leases.values() if not lease.failure]
+        if all(lease.slots or lease.lent or not lease.wanted for lease in leases):
+            self._known = {lease.token for lease in leases}
+            self._without_s.clear()
+            return ""
         tokens = {lease.token for lease in leases}
         if table.draining or tokens - self._known:
             self._without_s.clear()  # the line is another one
@@ -99,6 +106,11 @@ def bounds(count: int, wants: tuple[int, ...]) -> list[tuple[int, int]]:
     return [(min(want, level), min(want, level + bool(rest))) for want in wants]
 
 
+def _works(lease: HeldLease) -> bool:
+    """Return whether a lease has something to evaluate."""
+    return bool(lease.jobs.waiting) or lease.idle_since is None
+
+
 def _compare(leases: Sequence[HeldLease], capacity: int) -> tuple[int, list[Surplus]]:
     """Return how many slots those are short of that have work, and who has too many."""
     users = sorted({lease.user for lease in leases})
@@ -107,7 +119,7 @@ def _compare(leases: Sequence[HeldLease], capacity: int) -> tuple[int, list[Surp
     missing, found = 0, []
     for user, runs, (least, most) in zip(users, own, parts, strict=True):
         held = [len(one.slots) for one in runs]
-        works = [bool(one.jobs.waiting) or one.idle_since is None for one in runs]
+        works = [_works(one) for one in runs]
         wants = tuple(one.wanted for one in runs)
         lows = [low for low, _ in bounds(least, wants)]
         highs = [high for _, high in bounds(most, wants)]

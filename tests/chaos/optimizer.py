@@ -230,7 +230,8 @@ class Optimizer(Node[events.Event]):
                 self.dispatch.batches.checks.verified,
                 world.now,
             )
-        self._check()
+        if commands or not isinstance(event, events.TimePassed):
+            self._check()
         self._set_alarm()
 
     def _know(self, note: Note) -> None:

@@ -12,7 +12,7 @@ from .schedule import play
 
 CHUNK = 10  # schedules of a test
 # Up to which number schedules are played, with ``make test``, ``make long`` and ``make thorough``.
-SOME, MORE, ALL = 10, 1000, 2000
+SOME, MORE, ALL = 10, 1250, 2000
 FOUND_WITHIN = 100  # schedules, a planted bug
 # Which schedule shows a bug that few do: it is played first.
 SHOWN_BY = {
