@@ -7,7 +7,7 @@ propose, receive and store on the smallest problem. Finally, cover every pair of
 network. With ``few``, play few and short trials, for plain Python; with ``versions``, also omit the
 pairs, and the runs of the optimizers but for one network, and for the one that ``neat`` needs; with
 ``brief``, also omit the simulator that takes half of the time to compile; with ``sample``, all
-simulators but one.
+simulators but one and all networks but three.
 """
 
 import contextlib
@@ -41,8 +41,9 @@ SEEDS = np.array([1] if FEW else [1, 2**63 + 5], np.uint64)
 GENERATIONS = 3
 # Partners: whose metrics show every bit of what is decided, lanes.
 SIMULATOR, NETWORK, SMALLEST = "arena", "fully-meshed", "xor"
+NETWORKS = ["ctrnn", NETWORK, "neat"] if SAMPLE else plugins.names("representation")
 # Networks that optimizers evolve.
-EVOLVED = [NETWORK, "neat"] if VERSIONS else plugins.names("representation")
+EVOLVED = [NETWORK, "neat"] if VERSIONS else NETWORKS
 # Environments of other packages have their own bits; trials in ROS have those of turtlebot-exit.
 SIMULATORS = [
     name
@@ -102,12 +103,12 @@ def problems() -> Iterator[tuple[str, Any, Any]]:
             yield problem(
                 simulator, NETWORK, chosen | NEEDED.get((simulator, *chosen), {}), {}
             )
-    for network in plugins.names("representation"):
+    for network in NETWORKS:
         for chosen in ways(plugins.load("representation", network).settings_type):
             yield problem(SIMULATOR, network, {"robots": LANES}, chosen)
     if not VERSIONS:
         for simulator in SIMULATORS:
-            for network in plugins.names("representation"):
+            for network in NETWORKS:
                 yield problem(simulator, network, {}, {})
 
 
@@ -234,7 +235,7 @@ def results() -> Iterator[tuple[str, bytes | int]]:
         yield f"{name}: outcomes", outcomes
         yield f"{name}: different", different
         yield f"{name}: compiled after warming up", later
-    for representation in plugins.names("representation"):
+    for representation in NETWORKS:
         _, simulator, network = problem(SMALLEST, representation, {}, {})
         yield f"{representation}: operators", operated(network)
         for kind in plugins.names("optimizer") if representation in EVOLVED else []:
