@@ -56,10 +56,13 @@ with multiprocessing.get_context("fork").Pool() as pool:
 
 # The longest tests start first, so that none of them runs alone at the end.
 LONGEST = [
+    "tests/benchmarks/test_quick_forms.py::test_the_quick_form_of_a_target_runs_to_its_end[bench]",
+    "tests/benchmarks/test_paper.py::test_everything_is_measured",
     "tests/integration/test_kills.py",
     "tests/bits/test_bits.py::test_the_oldest_processor",
     "tests/bits/test_bits.py::test_plain_python",
     "tests/bits/test_bits.py::test_each_way",
+    "tests/sims/test_robot_tasks.py::test_the_example_evolves",
     "tests/docs/test_notebook.py",
     "tests/docs/test_docs_commands.py",
     "tests/integration/test_long_faults.py",
