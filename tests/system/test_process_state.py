@@ -1,5 +1,6 @@
 """What a process has besides, or otherwise, after something ran in it."""
 
+import gc
 import os
 import resource
 import signal
@@ -30,7 +31,11 @@ def slowly() -> Look:
 
 @pytest.fixture(params=[slowly, lambda: StateWatch().left_behind], ids=["whole", "often"])
 def look_from_now(request: pytest.FixtureRequest) -> Begin:
-    """Return what begins to look, by either way."""
+    """Return what begins to look, by either way.
+
+    A look that finds something collects garbage first: a file of an earlier test would be closed.
+    """
+    gc.collect()
     begin: Begin = request.param
     return begin
 
