@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from tests.fitting_parts import NETWORKS, evolves
 from tests.integration.forks import KILLED_IN, Forks
 from tests.integration.programs import Server
 from tests.promise.promise import check_prefix, check_run
@@ -60,7 +61,6 @@ PROBLEMS = {
     ),
     "xor": Problem("xor", 2000, "correct", {}),
 }
-NETWORKS = {"mealy": {"states": 2}}  # or a genome has up to a megabyte
 GAMES = {"duel"}
 SOME = {
     "box-pushing",
@@ -72,9 +72,6 @@ SOME = {
 }
 # Not installed here: tests/sims/adapters/test_vmas.py, test_ros_programs.py.
 LARGE = {"vmas", "turtlebot-exit-ros"}
-# Optimizers that search vectors of numbers.
-VECTORS = {"cma-me", "cmaes", "cuckoo", "map-elites", "openai-es", "pso"}
-NO_VECTORS = {"mealy", "neat"}  # genomes that are none
 # Optimizers that take scores of a tournament.
 COMPETING = {"cea2d", "cmaes", "neat", "nnga", "openai-es", "random"}
 
@@ -91,9 +88,7 @@ class Parts(NamedTuple):
         """Return whether the parts fit together, as documented."""
         if self.problem in GAMES and self.optimizer not in COMPETING:
             return False
-        if self.optimizer in VECTORS and self.representation in NO_VECTORS:
-            return False
-        if self.optimizer == "neat" and self.representation != "neat":
+        if not evolves(self.optimizer, self.representation):
             return False
         return (self.problem in GAMES) == (self.ranking != "absolute")
 

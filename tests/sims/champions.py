@@ -1,4 +1,4 @@
-"""Champions of the examples, recorded: evolving them takes minutes of computing each.
+"""Record champions of the examples: evolving all of them takes minutes.
 
 ``python -m tests.sims.champions NAME...`` evolves them anew and writes them to
 ``champions.json``. A name is that of an example, and after a space a setting that differs from it.

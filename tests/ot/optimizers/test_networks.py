@@ -5,6 +5,7 @@ from functools import partial
 
 import pytest
 
+from tests.fitting_parts import NETWORKS, evolves
 from tests.ot.optimizers.test_optimizers import NEEDED
 from zswarm.config.decode import convert
 from zswarm.errors import ConfigError
@@ -12,11 +13,6 @@ from zswarm.nets.representation import Representation
 from zswarm.ot.optimizers.optimizer import Optimizer
 from zswarm.plugins import registry as plugins
 from zswarm.testing import optimizers
-
-NETWORKS = {"mealy": {"states": 2}}  # or a genome has up to a megabyte
-# Optimizers that search vectors of numbers, and genomes that are none.
-VECTORS = {"cma-me", "cmaes", "cuckoo", "map-elites", "openai-es", "pso"}
-NO_VECTORS = {"mealy", "neat"}
 
 
 def maker(name: str, network: Representation) -> Callable[..., Optimizer]:
@@ -48,9 +44,7 @@ def test_every_optimizer_resumes_with_every_network(representation: str) -> None
     toy = optimizers._Toy(network)
     for name in plugins.names("optimizer"):
         make = maker(name, network)
-        if (name in VECTORS and representation in NO_VECTORS) or (
-            name == "neat" != representation
-        ):
+        if not evolves(name, representation):
             with pytest.raises(ConfigError, match=r"^optimizer: "):
                 make(1)
             continue
