@@ -63,6 +63,7 @@ LONGEST = [
     "tests/bits/test_bits.py::test_plain_python",
     "tests/bits/test_bits.py::test_each_way",
     "tests/sims/test_robot_tasks.py::test_the_example_evolves",
+    "tests/sims/test_champions.py",
     "tests/docs/test_notebook.py",
     "tests/docs/test_docs_commands.py",
     "tests/integration/test_long_faults.py",

@@ -38,14 +38,10 @@ def found(seed: int, *overrides: str) -> float:
     return best_per_trial(experiment.complete(loaded, "light-memory"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("seed", "remembering", "forgetful"),
-    [
-        pytest.param(1, 0.82, 0.75, marks=pytest.mark.long),
-        pytest.param(2, 0.89, 0.74, marks=pytest.mark.long),
-        pytest.param(3, 0.88, 0.74, marks=pytest.mark.thorough),
-        pytest.param(4, 0.72, 0.73, marks=pytest.mark.thorough),
-    ],
+    [(1, 0.82, 0.75), (2, 0.89, 0.74), (3, 0.88, 0.74), (4, 0.72, 0.73)],
 )
 def test_a_network_with_memory_finds_more_lights_with_most_seeds(
     seed: int, remembering: float, forgetful: float

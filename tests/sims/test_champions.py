@@ -5,15 +5,8 @@ import pytest
 from tests.sims import champions
 
 
-@pytest.mark.parametrize(
-    "task",
-    [
-        pytest.param("aggregation", marks=pytest.mark.long),
-        pytest.param("dispersion", marks=pytest.mark.long),
-        pytest.param("consensus", marks=pytest.mark.thorough),
-        pytest.param("foraging", marks=pytest.mark.thorough),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("task", ["aggregation", "consensus", "dispersion", "foraging"])
 def test_the_example_evolves_the_recorded_champion_bit_for_bit(task: str) -> None:
     """Other tests show what the recorded champions can do."""
     example = f"arena-{task}"

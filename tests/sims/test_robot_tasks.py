@@ -272,13 +272,14 @@ def does_better_than_by_hand(example: str, genome: bytes, between: float) -> Non
         assert 22 < seconds < 31
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("example", "between"),
     [
-        pytest.param("box-pushing", 1.52, marks=pytest.mark.long),
-        pytest.param("foraging-physical", 0.82, marks=pytest.mark.long),
-        pytest.param("box-pushing seed=2", 1.52, marks=pytest.mark.thorough),
-        pytest.param("box-pushing seed=3", 1.52, marks=pytest.mark.thorough),
+        ("box-pushing", 1.52),
+        ("box-pushing seed=2", 1.52),
+        ("box-pushing seed=3", 1.52),
+        ("foraging-physical", 0.82),
     ],
 )
 def test_the_recorded_champion_is_better_than_the_controller_written_by_hand(
@@ -288,12 +289,9 @@ def test_the_recorded_champion_is_better_than_the_controller_written_by_hand(
     does_better_than_by_hand(example, champions.champion(example), between)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
-    ("example", "between"),
-    [
-        pytest.param("turtlebot-exit", -10, marks=pytest.mark.long),
-        pytest.param("foraging-physical", 0.82, marks=pytest.mark.thorough),
-    ],
+    ("example", "between"), [("turtlebot-exit", -10), ("foraging-physical", 0.82)]
 )
 def test_the_example_evolves_a_better_controller_than_the_one_written_by_hand(
     example: str, between: float

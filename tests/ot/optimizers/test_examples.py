@@ -143,13 +143,8 @@ def late(parts: Parts, genome: bytes) -> float:
     return float(outcomes.metrics[:, simulator.metrics.index("late")].mean())
 
 
-@pytest.mark.parametrize(
-    "seed",
-    [
-        pytest.param(1, marks=pytest.mark.long),
-        *(pytest.param(seed, marks=pytest.mark.thorough) for seed in range(2, 5)),
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(1, 5))
 def test_a_learning_network_finds_out_what_is_food(seed: int) -> None:
     """Without its learning rate, the champion does not."""
     parts, _ = played("food-or-poison", [f"seed={seed}"])

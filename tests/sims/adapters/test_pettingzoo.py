@@ -57,7 +57,6 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
         {"generations": 5, "runs": 3, "trials": 2, "unseen": 5, "others": 12},
     ),
 ]
-SOME = {"simple_v3", "simple_speaker_listener_v4"}  # with make long
 KEPT = {
     "pettingzoo": [
         "rps_v2",
@@ -99,16 +98,10 @@ def test_every_small_environment_keeps_the_contract() -> None:
             )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("environment", "options", "effort"),
-    [
-        pytest.param(
-            *each,
-            id=each[0],
-            marks=pytest.mark.long if each[0] in SOME else pytest.mark.thorough,
-        )
-        for each in EVOLVED
-    ],
+    [pytest.param(*each, id=each[0]) for each in EVOLVED],
 )
 def test_evolution_is_better_than_random_on_seeds_it_never_saw(
     environment: str, options: dict[str, Any], effort: dict[str, Any]
@@ -120,22 +113,16 @@ def test_evolution_is_better_than_random_on_seeds_it_never_saw(
     assert found.p < 0.01, found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("environment", "effort"),
     [
-        pytest.param(
-            "CartPole-v1",
-            {"generations": 5, "runs": 3, "others": 12},
-            marks=pytest.mark.long,
-        ),
-        pytest.param(
+        ("CartPole-v1", {"generations": 5, "runs": 3, "others": 12}),
+        (
             "Acrobot-v1",
             {"generations": 4, "runs": 3, "trials": 2, "unseen": 5, "others": 9},
-            marks=pytest.mark.thorough,
         ),
-        pytest.param(
-            "Pendulum-v1", {"generations": 6, "runs": 4}, marks=pytest.mark.thorough
-        ),
+        ("Pendulum-v1", {"generations": 6, "runs": 4}),
     ],
 )
 def test_evolution_of_one_agent_is_better_than_random_ones(

@@ -45,19 +45,12 @@ def test_a_scenario_keeps_the_contract(scenario: str) -> None:
     ("scenario", "options", "steps", "effort"),
     [
         ("simple", {}, 30, {"generations": 10, "trials": 2}),
-        pytest.param(
-            "circle_trajectory",
-            {},
-            20,
-            {"generations": 8, "trials": 2},
-            marks=pytest.mark.thorough,
-        ),
-        pytest.param(
+        ("circle_trajectory", {}, 20, {"generations": 8, "trials": 2}),
+        (
             "navigation",
             {"n_agents": 2, "collisions": False},
             30,
             {"generations": 9, "trials": 2},
-            marks=pytest.mark.thorough,
         ),
     ],
 )
