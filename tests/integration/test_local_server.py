@@ -15,6 +15,7 @@ from tests.integration.programs import (
     wait_until,
 )
 from tests.promise.promise import check_run
+from zswarm.ot.cluster.local import AGAIN, LocalServer
 
 pytestmark = pytest.mark.faults
 
@@ -42,11 +43,11 @@ def start(scene: Scene, file: str) -> Optimizer:
     return Optimizer(scene.folder, "ot", ["run", file, *options], **scene.environment)
 
 
-def kill_server_of(optimizer: Optimizer, but: Container[int] = ()) -> int:
-    """Kill an optimizer's own server, once there is one; return its process."""
+def kill_server_of(program: int, but: Container[int] = ()) -> int:
+    """Kill a program's own server, once there is one; return its process."""
 
     def found() -> int:
-        own = children(optimizer.process.pid)
+        own = children(program)
         servers = [one for one in own if "zswarm.ss" in command_line(one)]
         return next((one for one in servers if one not in but), 0)
 
@@ -60,7 +61,7 @@ def test_a_killed_local_server_is_started_again(
 ) -> None:
     for _ in range(2):
         scene.wait_for_more("local-", 10)
-        kill_server_of(optimizer)
+        kill_server_of(optimizer.process.pid)
     scene.check(optimizer.done(), undisturbed)
     assert optimizer.err.read_text().count(WORDS) == 2
     servers = query(scene.run, "SELECT count(DISTINCT server) FROM outcomes")
@@ -73,7 +74,7 @@ def test_a_local_server_that_something_kills_again_and_again_ends_the_run(
     """It can be resumed."""
     killed: set[int] = set()
     while len(killed) < 4:
-        killed.add(kill_server_of(optimizer, killed))
+        killed.add(kill_server_of(optimizer.process.pid, killed))
     assert optimizer.wait() == 1
     said = optimizer.err.read_text()
     assert said.count(WORDS) == 3
@@ -87,6 +88,27 @@ def test_a_local_server_that_something_kills_again_and_again_ends_the_run(
         resumed.close()
 
 
+def test_a_killed_local_server_has_not_ended_while_it_may_be_started_again() -> None:
+    """A run that looked at it before it was killed asks next whether it ended."""
+    killed = set(children(os.getpid()))  # those of other tests
+    local = LocalServer(1, "default")
+
+    def kill() -> None:
+        killed.add(server := kill_server_of(os.getpid(), killed))
+        os.waitid(os.P_PID, server, os.WEXITED | os.WNOWAIT)
+
+    try:
+        for _ in range(AGAIN):
+            kill()
+            assert not local.ended()
+            assert local.start_again() == WORDS
+        kill()
+        assert not local.start_again()
+        assert local.ended().startswith("exit code -9")
+    finally:
+        local.close()
+
+
 def test_a_killed_local_server_of_a_study_is_started_once(scene: Scene) -> None:
     file = scene.folder / "sweep.toml"
     scene.size.write(file)
@@ -98,7 +120,7 @@ def test_a_killed_local_server_of_a_study_is_started_once(scene: Scene) -> None:
             lambda: all(counted(runs / f"seed-{seed}") > 5 for seed in (5, 6, 7)),
             "all runs are served",
         )
-        kill_server_of(optimizer)
+        kill_server_of(optimizer.process.pid)
         assert optimizer.done()["finished"] == 3
     finally:
         optimizer.close()

@@ -56,15 +56,19 @@ class LocalServer:
         """
         with self._owner:
             code = self._process.poll()
-            often = len(self._started) > AGAIN
-            often = often and time.monotonic() - self._started[0] < AGAIN_S
-            if code is None or code >= 0 or often or self._stdin().closed:
+            if code is None or not self._starts_again(code):
                 return ""
             self._stdin().close()
             self._start()
             return (
                 f"the slots of this machine were killed by signal {-code}: started again"
             )
+
+    def _starts_again(self, code: int) -> bool:
+        """Return whether the child is started again after it ended with an exit code."""
+        often = len(self._started) > AGAIN
+        often = often and time.monotonic() - self._started[0] < AGAIN_S
+        return code < 0 and not often and not self._stdin().closed
 
     def close(self) -> None:
         """End the child."""
@@ -82,8 +86,9 @@ class LocalServer:
         return self._process.stdin
 
     def ended(self) -> str:
-        """Return its last words if it ended by itself, which it should not; "" while it runs."""
-        code = self._process.poll()
-        if code is None:
-            return ""
+        """Return its last words if it ended for good, which it should not; else ""."""
+        with self._owner:
+            code = self._process.poll()
+            if code is None or self._starts_again(code):
+                return ""
         return f"exit code {code}: {self._log.read_text(errors='replace')[-LOG_TAIL:].strip()}"
