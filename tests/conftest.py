@@ -81,6 +81,7 @@ LONGEST = [
 ARCHIVES = re.compile(r"cma-me|map-elites|elites\.py")
 
 
+@pytest.hookimpl(trylast=True)  # of the tests that marks have left
 def pytest_collection_modifyitems(
     config: pytest.Config, items: list[pytest.Item]
 ) -> None:
@@ -90,11 +91,12 @@ def pytest_collection_modifyitems(
     what is at the end of another's. Tests that import the same large package are neighbours.
     """
     workers = getattr(config, "workerinput", {}).get("workercount", 1)
-    longest = [item for part in LONGEST for item in items if item.nodeid.startswith(part)]
-    chosen = {id(item) for item in longest}
+    named = (item for part in LONGEST for item in items if item.nodeid.startswith(part))
+    longest = list(dict.fromkeys(named))  # a name may begin with another
+    chosen = set(longest)
     others = iter(
         sorted(
-            (item for item in items if id(item) not in chosen),
+            (item for item in items if item not in chosen),
             key=lambda item: not ARCHIVES.search(item.nodeid),
         )
     )
