@@ -1,7 +1,6 @@
 """A run on links that are cut, reset, slow or stuck has the undisturbed history."""
 
 import signal
-import sys
 import time
 from pathlib import Path
 
@@ -160,35 +159,29 @@ def test_a_link_of_20_kilobytes_a_second_is_slow_and_stays(
             assert not scene.events("server_silent")
 
 
-@pytest.mark.parametrize("hidden", [1, 100])
-def test_a_server_behind_a_long_slow_link_makes_no_run_slower(
-    tmp_path: Path, hidden: int
+@pytest.mark.parametrize(("hidden", "least", "most"), [(1, 0.1, 0.6), (100, 0.0, 0.2)])
+def test_a_server_behind_a_long_slow_link_gets_the_trials_that_it_helps_with(
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    hidden: int,
+    least: float,
+    most: float,
 ) -> None:
-    """Behind 1 Mbit/s and 100 ms: of small genomes it gets some, of 42 kB it cannot help."""
+    """Behind 1 Mbit/s and 100 ms: of small genomes it gets a third, of 42 kB a twentieth.
+
+    How long generations take with it is in ``tests/ot/cluster/test_unequal_machines.py``.
+    """
     size = Size(generations=4, population=40, trials=4, hidden=hidden)
-    took: list[float] = []
-    for far in (False, True):
-        folder = tmp_path / ("both" if far else "alone")
-        folder.mkdir()
-        with Scene(folder, size) as scene:
-            near, pace = scene.server("near", capacity=4)
-            pace.set(0.05)
-            endpoints = [near.endpoint]
-            if far:
-                server, pace = scene.server("far", capacity=4)
-                pace.set(0.05)
-                link = scene.enter(Proxy(server.endpoint, rate=125_000, delay_s=0.1))
-                endpoints.append(link.endpoint)
-            done = scene.optimizer(*endpoints).done()
-            if not far:
-                alone = Undisturbed(done["history_hash"], scene.counted())
-            scene.check(done, alone)
-            times = query(scene.run, "SELECT finished_at FROM generations ORDER BY 1")
-            took.append(times[-1][0] - times[0][0])
-            if far and hidden == 1:
-                assert scene.counted("far") > 0
-    sys.stdout.write(f"\nnear alone: {took[0]:.2f} s, with far: {took[1]:.2f} s\n")
-    assert took[1] <= 1.3 * took[0] + 1.0, "the machine may be busy"
+    undisturbed = play_undisturbed(tmp_path_factory.mktemp("undisturbed"), size)
+    with Scene(tmp_path, size) as scene:
+        (near, pace), (far, far_pace) = (
+            scene.server(name, capacity=4) for name in ("near", "far")
+        )
+        pace.set(0.05)
+        far_pace.set(0.05)
+        with Proxy(far.endpoint, rate=125_000, delay_s=0.1) as link:
+            scene.check(scene.optimizer(near.endpoint, link.endpoint).done(), undisturbed)
+            assert least <= scene.counted("far") / scene.counted() <= most
 
 
 def test_four_megabytes_to_a_stopped_server_do_not_delay_others(tmp_path: Path) -> None:
