@@ -338,9 +338,7 @@ def test_a_misbehaving_simulator_affects_only_its_own_trials(tmp_path: Path) -> 
         assert re.findall("^a word of .*", optimizer.err.read_text(), re.M) == [
             *("a word of the module", "a word of the constructor", "a word of a program"),
         ]
-        left = [int(process) for process in (tmp_path / "left").read_text().split()]
-        wait_until(lambda: not any(map(status, left)), "what was left behind is gone")
-        assert len(left) >= 4
+        assert wait_until_ended(tmp_path / "left") >= 4
         shared = (tmp_path / "shared").read_text().split()
         assert shared
         there = {path.name for path in SHARED.iterdir()}
@@ -379,8 +377,16 @@ def test_a_slot_prepares_again_if_its_process_was_replaced_between_two_runs(
                 "the process that left a program behind is replaced",
             )
         assert server.events("slot_died") == []
+        assert wait_until_ended(tmp_path / "left") >= 2
     finally:
         server.close()
+
+
+def wait_until_ended(file: Path) -> int:
+    """Wait until the programs that a file lists have ended; return how many it lists."""
+    left = [int(process) for process in file.read_text().split()]
+    wait_until(lambda: not any(map(status, left)), "what was left behind is gone")
+    return len(left)
 
 
 def check_outcomes(run: Path) -> None:
