@@ -21,6 +21,7 @@ import tables
 
 ROUNDS = 9
 LISTED = 200  # runs
+DRAWN_LATER = shutil.ignore_patterns("*fitness.png*")  # by another program
 PROGRAM = Path(sys.executable).with_name("zswarm-ot")
 BARE = [sys.executable, "-c", "pass"]
 ONE_GENERATION = ["run", "--generations", "1"]  # of stadium, on this machine
@@ -56,7 +57,8 @@ def commands(rounds: int) -> list[dict[str, Any]]:
         seconds_of(folder, [*ONE_GENERATION, "--out", "listed"])
         for number in range(LISTED - 1):
             listed = Path(folder) / "listed"
-            shutil.copytree(listed / "stadium", listed / f"copy-{number}")
+            copy = listed / f"copy-{number}"
+            shutil.copytree(listed / "stadium", copy, ignore=DRAWN_LATER)
         asked: dict[str, tuple[list[str], dict[str, str]]] = {
             "a run of one generation": (ONE_GENERATION, {}),
             "python -c pass, for comparison": (BARE, {}),
