@@ -24,7 +24,7 @@ from pymunk.batch import BodyFields
 
 from zswarm.config.meta import PartSettings, about, above, within
 from zswarm.kernels.portable import PI, cos, exp, sin
-from zswarm.sims.physics_kernels import ANGLE, SECTORS, X, command, look, push
+from zswarm.sims.physics_kernels import ANGLE, OUTSIDE, SECTORS, command, look, push
 from zswarm.sims.placing import Area
 from zswarm.sims.simulator import Steps
 
@@ -35,7 +35,6 @@ SLOP = 0.001  # m that bodies may overlap; without any, contacts come and go
 # 1/s: overlap beyond ``SLOP``, and the distance to a thing held, decay as exp(-PARTING t).
 PARTING = 6.3
 RIM = 0.1  # m, thickness of the walls around a room
-OUTSIDE = 1e6  # m; bodies that were taken out are beyond this, each at a separate place
 
 READ = (
     BodyFields.POSITION
@@ -343,21 +342,17 @@ class RobotWorld:
         body.angular_velocity = 0
 
     def _look(self) -> None:
-        things = self._rows[self.settings.robots : -1]
-        for number, thing in enumerate(things):
-            if abs(thing[X]) < OUTSIDE / 2:
-                self.things[number] = thing[: ANGLE + 1]
         look(
             self._rows,
             self.inside,
             self.walls,
             self._boxes,
-            self.things,
             self._half,
             self._rays,
             self.settings.radius,
             self.settings.range,
             self.poses,
             self.headings,
+            self.things,
             self.ranges,
         )

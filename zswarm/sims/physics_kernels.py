@@ -5,7 +5,7 @@
 
 import numpy as np
 
-from zswarm.kernels.jit import float32, float64, int64, kernel, void
+from zswarm.kernels.jit import float32, float64, inline, int64, kernel, void
 from zswarm.kernels.portable import cos, sin
 from zswarm.kernels.signatures import Float32Rows, Float64Rows, Float64s, Int64s
 from zswarm.sims.robot_interface import velocity
@@ -13,6 +13,8 @@ from zswarm.sims.toolbox.sensors import inverse, to_disc, to_rectangle, to_squar
 
 SECTORS = 8  # of a laser scan
 SCAN = tuple(f"scan_{sector}" for sector in range(SECTORS))  # from the right to the left
+OUTSIDE = 1e6  # m; bodies that were taken out are beyond this, each at a separate place
+FAR = OUTSIDE / 2
 ZERO, ONE = np.float32(0), np.float32(1)
 # ``rows``: float64, for each robot, then for each movable, then for the ground; speeds per step.
 X, Y, ANGLE, SPEED_X, SPEED_Y, TURNING = range(6)
@@ -84,35 +86,9 @@ def push(
         forces[robot, 2] = max(min(turning, most_around), -most_around)
 
 
-@kernel(
-    void(
-        Float64Rows,
-        Int64s,
-        Float64Rows,
-        Int64s,
-        Float64Rows,
-        Float64s,
-        Float64Rows,
-        float64,
-        float64,
-        Float64Rows,
-        Float64Rows,
-        Float32Rows,
-    )
-)
-def look(
-    rows, inside, walls, boxes, things, half, rays, radius, reach, poses, headings, ranges
-):
-    """Write the poses of the robots inside and the readings of their lasers.
-
-    Lasers see walls, boxes and other robots; discs are too low.
-
-    Args:
-        boxes: (boxes,) int64, which of the things are.
-        half: (things,) float64, half the sides of boxes.
-        rays: (rays, 2) float64, in the robot's frame.
-        poses, headings, ranges: filled, see ``RobotWorld``.
-    """
+@inline(counts=False, inner=True)
+def locate(rows, inside, poses, headings, things):
+    """Write the poses of robots and things that were not taken out."""
     robots = inside.shape[0]
     for robot in range(robots):
         if inside[robot]:
@@ -121,6 +97,45 @@ def look(
             poses[robot, ANGLE] = rows[robot, ANGLE]
             headings[robot, 0] = cos(rows[robot, ANGLE])
             headings[robot, 1] = sin(rows[robot, ANGLE])
+    for thing in range(things.shape[0]):
+        row = robots + thing
+        if abs(rows[row, X]) < FAR:
+            things[thing, X] = rows[row, X]
+            things[thing, Y] = rows[row, Y]
+            things[thing, ANGLE] = rows[row, ANGLE]
+
+
+@kernel(
+    void(
+        Float64Rows,
+        Int64s,
+        Float64Rows,
+        Int64s,
+        Float64s,
+        Float64Rows,
+        float64,
+        float64,
+        Float64Rows,
+        Float64Rows,
+        Float64Rows,
+        Float32Rows,
+    )
+)
+def look(
+    rows, inside, walls, boxes, half, rays, radius, reach, poses, headings, things, ranges
+):
+    """Write the poses of robots and things that were not taken out, and what lasers read.
+
+    Lasers see walls, boxes and other robots; discs are too low.
+
+    Args:
+        boxes: (boxes,) int64, which of the things are.
+        half: (things,) float64, half the sides of boxes.
+        rays: (rays, 2) float64, in the robot's frame.
+        poses, headings, things, ranges: filled, see ``RobotWorld``.
+    """
+    robots = inside.shape[0]
+    locate(rows, inside, poses, headings, things)
     squares = np.empty((boxes.shape[0], 3))
     for box in range(boxes.shape[0]):
         angle = things[boxes[box], ANGLE]

@@ -58,7 +58,7 @@ def take_turns(
     for _ in range(MAX_TURNS):
         yield turn
         observations = _observations(simulator, turn)
-        if not all(0 <= agent < len(owners) for agent in turn.agents):
+        if min(turn.agents) < 0 or max(turn.agents) >= len(owners):
             raise BrokenContractError(
                 f"agents must be in {range(len(owners))}, not {list(turn.agents)}"
             )
