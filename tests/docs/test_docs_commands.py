@@ -122,7 +122,8 @@ HERE = {
     "run stadium --connect": "run stadium --set generations=10 --connect",
     "repeat = 5\nbudget = { evaluations = 300 }": "repeat = 2\nbudget = { evaluations = 60 }",
     # Its 100 generations are played in tests/integration/test_own_simulator.py.
-    "run lost-robots.toml": "run lost-robots.toml --set generations=10",
+    "run lost-robots.toml": "run lost-robots.toml --set generations=4",
+    "--generations 20 --trials 40": "--generations 3 --trials 40",
     "run rendezvous.toml": "run rendezvous.toml --set generations=3",
     "run epuck-aggregation": "run epuck-aggregation --set generations=1 "
     "--set optimizer.population=4 --set problem.trials=1 --set assessment.budget=0",

@@ -291,7 +291,8 @@ def test_the_recorded_champion_is_better_than_the_controller_written_by_hand(
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("example", "between"), [("turtlebot-exit", -10), ("foraging-physical", 0.82)]
+    ("example", "between"),
+    [("turtlebot-exit", -10), ("foraging-physical generations=18", 0.82)],
 )
 def test_the_example_evolves_a_better_controller_than_the_one_written_by_hand(
     example: str, between: float
