@@ -12,12 +12,15 @@ from tests.sims import champions
             pytest.param(name, marks=pytest.mark.long)
             for name in (
                 "arena-aggregation",
-                "arena-consensus",
+                "arena-consensus generations=20",
                 "arena-dispersion",
-                "arena-foraging generations=60",  # as many as the others
+                "arena-foraging generations=20",
             )
         ),
-        pytest.param("arena-foraging", marks=pytest.mark.thorough),
+        *(
+            pytest.param(name, marks=pytest.mark.thorough)
+            for name in ("arena-consensus", "arena-foraging")
+        ),
     ],
 )
 def test_the_example_evolves_the_recorded_champion_bit_for_bit(example: str) -> None:
