@@ -289,10 +289,13 @@ def test_the_recorded_champion_is_better_than_the_controller_written_by_hand(
     does_better_than_by_hand(example, champions.champion(example), between)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(
     ("example", "between"),
-    [("turtlebot-exit", -10), ("foraging-physical generations=18", 0.82)],
+    [
+        pytest.param("turtlebot-exit", -10, marks=pytest.mark.long),
+        pytest.param("foraging-physical generations=18", 0.82, marks=pytest.mark.long),
+        pytest.param("foraging-physical", 0.82, marks=pytest.mark.thorough),
+    ],
 )
 def test_the_example_evolves_a_better_controller_than_the_one_written_by_hand(
     example: str, between: float
