@@ -19,9 +19,8 @@ from tests.integration.evacuation import ASSESSED, COUNTED, TRIALS
 from tests.integration.programs import Optimizer, Server, query, wait_until
 from tests.promise.promise import check_prefix, check_run
 from zswarm.ot.record.writer import Record
-from zswarm.plugins import registry as plugins
 
-pytestmark = pytest.mark.faults
+pytestmark = [pytest.mark.faults, pytest.mark.usefixtures("sleeping")]
 
 CLUSTER = """
 [cluster]
@@ -42,21 +41,6 @@ SHORT, REPORTED = 400, 4  # generations of some milliseconds, and kills at their
 
 Mount = Callable[..., Path]
 STARTED: list[Optimizer] = []
-
-
-@pytest.fixture(scope="module", autouse=True)
-def sleeping(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Have trials that sleep here and in the programs."""
-    folder = tmp_path_factory.mktemp("asleep")
-    with pytest.MonkeyPatch.context() as patch:
-        for name, value in asleep.installed(folder).items():
-            patch.setenv(name, value)
-        patch.syspath_prepend(folder)
-        for cached in (plugins.entry_points, plugins._installed):
-            cached.cache_clear()
-        yield
-    for cached in (plugins.entry_points, plugins._installed):
-        cached.cache_clear()
 
 
 @pytest.fixture(scope="module")

@@ -6,30 +6,31 @@ from typing import Any
 
 import pytest
 
-from tests.integration import evacuation
+from tests.integration import asleep
 from tests.integration.evacuation import COUNTED, TRIALS
 from tests.integration.programs import Optimizer, Server, query, wait_until
 from zswarm.ot.record.reader import Run
 from zswarm.ot.record.schema import ASSESSMENT
 
-pytestmark = pytest.mark.programs
+pytestmark = [pytest.mark.programs, pytest.mark.usefixtures("sleeping")]
 
-STEPS = 3_000
 SHARE = 0.5  # of the assessment: long enough to be disturbed
 RACED = [
     "--set=assessment.racing=true",
     f"--set=assessment.budget={SHARE}",
-    "--set=problem.settings.seed=-1",  # else the trials of all seeds are alike
 ]
 SEARCHED = "SELECT count(*) FROM generations"
 
 
 @pytest.fixture(scope="module")
-def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], int]:
-    """Return the result of a run that nothing happens to, on one slot, and its trials."""
+def alone(
+    sleeping: None,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[dict[str, Any], int]:
+    """Return the result of a run that nothing happens to, and its trials."""
     folder = tmp_path_factory.mktemp("alone")
-    with_one = ["--servers=local", "--set=cluster.local_slots=1"]
-    done = run(folder, *with_one).done()
+    local = ["--servers=local", "--set=cluster.local_slots=4"]
+    done = run(folder, *local).done()
     Run(folder / "runs" / "raced").check()
     trials = counted(folder)
     assert trials < (1 + SHARE) * TRIALS, "racing stops no trial"
@@ -37,7 +38,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], int
 
 
 @pytest.fixture
-def servers(tmp_path: Path) -> Iterator[list[Server]]:
+def servers(sleeping: None, tmp_path: Path) -> Iterator[list[Server]]:
     """Yield four servers of one slot."""
     made = [Server(tmp_path, f"ss-{number}", capacity=1) for number in range(4)]
     try:
@@ -48,7 +49,7 @@ def servers(tmp_path: Path) -> Iterator[list[Server]]:
 
 
 def run(folder: Path, *options: str) -> Optimizer:
-    file = evacuation.write(folder, "raced", STEPS)
+    file = asleep.write(folder, "raced")
     return Optimizer(folder, "run", ["run", file, "--json", *RACED, *options])
 
 

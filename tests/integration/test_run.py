@@ -6,23 +6,21 @@ from pathlib import Path
 
 import pytest
 
-from tests.integration import evacuation
+from tests.integration import asleep, evacuation
+from tests.integration.asleep import HISTORY as ALONE
 from tests.integration.evacuation import ASSESSED, COUNTED, TRIALS
 from tests.integration.programs import Optimizer, Server, free_port, query, wait_until
 from tests.promise.promise import check_run
 
-STEPS = 3_000  # a run takes some seconds: long enough to disturb it
-# The history hash of the experiment when nothing happens to it, made once
-ALONE = "06dfe0697ef18594f74083ec6d9b129f"
-ASSESSED_ALONE = "7dadee9ed7efb64b5e925efb78bd7016"
+pytestmark = pytest.mark.usefixtures("sleeping")
+
+# The hash of the assessment when nothing happens to the run, made once.
+ASSESSED_ALONE = "904a55c4f583a5a98e7af71f66e27e01"
 
 
 def run(folder: Path, name: str, *options: str) -> Optimizer:
-    return Optimizer(
-        folder,
-        name,
-        ["run", evacuation.write(folder, "disturbed", STEPS), "--json", *options],
-    )
+    file = asleep.write(folder, "disturbed")
+    return Optimizer(folder, name, ["run", file, "--json", *options])
 
 
 def remote(*servers: Server, wait: int = 0) -> list[str]:
@@ -189,7 +187,7 @@ def test_runs_that_share_one_slot_all_end(tmp_path: Path) -> None:
     try:
         for folder in folders:
             folder.mkdir()
-            short = ["--set", "generations=2"]
+            short = ["--set", "generations=2", "--set", "problem.trials=5"]
             optimizers.append(run(folder, "ot", *remote(server), *short))
         hashes = {optimizer.done()["history_hash"] for optimizer in optimizers}
     finally:
@@ -226,8 +224,6 @@ def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(
         "--set",
         "problem.seeds=fresh",
         "--set",
-        "problem.settings.steps=50",
-        "--set",
         "problem.settings.seed=-1",
         "--servers",
         "local",
@@ -241,6 +237,10 @@ def test_fresh_seeds_and_local_slots_give_the_same_for_any_number_of_slots(
             "--out",
             f"out-{slots}",
         ]
-        hashes.add(run(tmp_path, f"slots-{slots}", *options).done()["history_hash"])
+        file = evacuation.write(tmp_path, "disturbed", 50)
+        compiled = {"ZSWARM_PLAIN": ""}
+        arguments = ["run", file, "--json", *options]
+        optimizer = Optimizer(tmp_path, f"slots-{slots}", arguments, **compiled)
+        hashes.add(optimizer.done()["history_hash"])
         check_run(tmp_path / f"out-{slots}" / "disturbed")
     assert len(hashes) == 1
