@@ -13,7 +13,8 @@ from typing import NamedTuple
 import pytest
 import zenoh
 
-from tests.integration.evacuation import COUNTED, write
+from tests.integration import asleep, evacuation
+from tests.integration.evacuation import COUNTED
 from tests.integration.programs import (
     Optimizer,
     Program,
@@ -114,7 +115,7 @@ def server(lab: Lab, tmp_path: Path) -> Iterator[Server]:
     started.close()
 
 
-def serve(lab: Lab, folder: Path, name: str, *options: str, plain: str = "1") -> Server:
+def serve(lab: Lab, folder: Path, name: str, *options: str) -> Server:
     """Start a server in plain form: compiling would take longer than its work."""
     return Server(
         folder,
@@ -123,17 +124,16 @@ def serve(lab: Lab, folder: Path, name: str, *options: str, plain: str = "1") ->
         options=options,
         protocol="tls",
         ZSWARM_KEYS=lab.keys(name),
-        ZSWARM_PLAIN=plain,
+        ZSWARM_PLAIN="1",
     )
 
 
 def evolve(
-    folder: Path, name: str, keys_folder: str, *options: str, steps: int = 50
+    folder: Path, name: str, keys_folder: str, *options: str, file: str = ""
 ) -> Optimizer:
-    file = write(folder, "keyed", steps)
-    plain = "1" if options[-len(SMALL) :] == SMALL else ""  # of this machine's slots
+    file = file or evacuation.write(folder, "keyed", 50)
     arguments = ["run", file, "--json", "--no-multicast", *options]
-    return Optimizer(folder, name, arguments, ZSWARM_KEYS=keys_folder, ZSWARM_PLAIN=plain)
+    return Optimizer(folder, name, arguments, ZSWARM_KEYS=keys_folder, ZSWARM_PLAIN="1")
 
 
 def look(folder: Path, name: str, keys_folder: str, *options: str) -> str:
@@ -582,22 +582,14 @@ def test_a_users_keys_are_refused_for_a_server(lab: Lab, tmp_path: Path) -> None
 
 
 @pytest.mark.faults
+@pytest.mark.usefixtures("sleeping")
 def test_a_run_outlives_reloads_of_its_server(lab: Lab, tmp_path: Path) -> None:
     """Each is a new session with the keys of then; lease, batches and results stay."""
-    server = serve(lab, tmp_path, "lab-01", plain="").ready()
+    server = serve(lab, tmp_path, "lab-01").ready()
     try:
-        plain = evolve(
-            tmp_path, "alone", "none", "--servers", "local", "--out", "alone", steps=3000
-        ).done()
-        running = evolve(
-            tmp_path,
-            "alice",
-            lab.keys("alice"),
-            "--servers",
-            "1",
-            f"--connect={server.endpoint}",
-            steps=3000,
-        )
+        file = asleep.write(tmp_path, "keyed")
+        only = ["--servers=1", f"--connect={server.endpoint}"]
+        running = evolve(tmp_path, "alice", lab.keys("alice"), *only, file=file)
         record = tmp_path / "runs" / "keyed"
         for reload in (1, 2):
             before = int((query(record, COUNTED) or [(0,)])[0][0])
@@ -613,7 +605,7 @@ def test_a_run_outlives_reloads_of_its_server(lab: Lab, tmp_path: Path) -> None:
                 "it reloaded",
             )
         done = running.done()
-        assert done["history_hash"] == plain["history_hash"]
+        assert done["history_hash"] == asleep.HISTORY
         assert len(server.events("lease_granted")) == 1, (
             "the lease did not outlive the reload"
         )
