@@ -56,7 +56,7 @@ def test_each_kernel_is_reported_before_it_is_compiled(tmp_path: Path) -> None:
 
 def test_a_cold_run_reports_the_kernels_that_it_compiles(tmp_path: Path) -> None:
     """In order, again and again with the time since it began, and not in the next run."""
-    arguments = ["run", "stadium", "--generations", "1", "--servers", "local"]
+    arguments = ["run", "xor", "--generations", "1", "--servers", "local"]
 
     def evolve(name: str) -> list[tuple[int, ...]]:
         environment = {"ZSWARM_CACHE": str(tmp_path / "cache"), "ZSWARM_PLAIN": ""}

@@ -10,7 +10,6 @@ from pathlib import Path
 import pytest
 
 import zswarm
-from tests.integration import evacuation
 from tests.integration.programs import Optimizer, Server, query
 
 pytestmark = pytest.mark.long
@@ -66,7 +65,9 @@ def test_kernels_are_compiled_before_a_server_is_used_where_little_can_be_writte
             "ot",
             [
                 "run",
-                evacuation.write(tmp_path, "read-only", 10),
+                "xor",
+                "--generations",
+                "1",
                 "--json",
                 "--no-multicast",
                 "--servers",
@@ -82,7 +83,7 @@ def test_kernels_are_compiled_before_a_server_is_used_where_little_can_be_writte
             program.close()
     compiled = [path.stat().st_mtime for path in temporary.rglob("*.nbc")]
     [(joined,)] = query(
-        tmp_path / "runs" / "read-only",
+        tmp_path / "runs" / "xor",
         "SELECT at FROM events WHERE event = 'server_joined'",
     )
     assert done["event"] == "done"
