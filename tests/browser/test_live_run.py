@@ -15,6 +15,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.browser.conftest import Dashboard
+from tests.integration import asleep
 from tests.integration.programs import free_port
 
 pytestmark = pytest.mark.browser
@@ -34,7 +35,18 @@ def wait_until_somebody_listens(port: int) -> None:
 
 
 @pytest.fixture
-def program(tmp_path: Path) -> Iterator[Callable[..., "subprocess.Popen[Any]"]]:
+def experiment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Write one whose trials sleep: the machine is needed for the browser."""
+    for name, value in asleep.installed(tmp_path).items():
+        monkeypatch.setenv(name, value)
+    return asleep.write(tmp_path, "shown")
+
+
+@pytest.fixture
+def program(
+    tmp_path: Path,
+    experiment: str,  # for its environment
+) -> Iterator[Callable[..., "subprocess.Popen[Any]"]]:
     """Start programs, which end with the test."""
     begun: list[subprocess.Popen[Any]] = []
 
@@ -62,6 +74,7 @@ def test_a_killed_server_disappears_and_the_run_continues(
     page: Page,
     dashboard: Callable[..., Dashboard],
     program: Callable[..., "subprocess.Popen[Any]"],
+    experiment: str,
     tmp_path: Path,
 ) -> None:
     """The run stops when the page says so, and it is shown again when it is resumed."""
@@ -89,7 +102,7 @@ def test_a_killed_server_disappears_and_the_run_continues(
     run = program(
         "zswarm.ot",
         "run",
-        "stadium",
+        experiment,
         "--servers",
         "2",
         "--set",
@@ -100,7 +113,7 @@ def test_a_killed_server_disappears_and_the_run_continues(
     )
     shown = dashboard(tmp_path)
     page.goto(f"{shown.url}/#token={shown.token}")
-    page.get_by_role("link", name="stadium").click(timeout=SLOW_MS)
+    page.get_by_role("link", name="shown").click(timeout=SLOW_MS)
     expect(page.locator(".badge")).to_contain_text("running", timeout=SLOW_MS)
     page.get_by_role("link", name="Servers").click(timeout=SLOW_MS)
     rows = {
@@ -131,22 +144,25 @@ def test_a_killed_server_disappears_and_the_run_continues(
     expect(page.locator(".badge")).to_contain_text("stopped", timeout=SLOW_MS)
     assert run.wait(60) == 1
     page.evaluate("() => { window.same = true }")
-    program("zswarm.ot", "resume", str(tmp_path / "runs" / "stadium"), *reach)
+    program("zswarm.ot", "resume", str(tmp_path / "runs" / "shown"), *reach)
     expect(page.locator(".badge")).to_contain_text("running", timeout=SLOW_MS)
     expect(page.locator(".log li", has_text="began (1)")).to_be_visible(timeout=SLOW_MS)
     assert page.evaluate("() => window.same"), "the page was not loaded anew"
     assert near.poll() is None
-    assert os.listdir(tmp_path / "runs") == ["stadium"]
+    assert os.listdir(tmp_path / "runs") == ["shown"]
 
 
 def test_a_running_run_is_shown_live(
-    page: Page, program: Callable[..., "subprocess.Popen[Any]"], tmp_path: Path
+    page: Page,
+    program: Callable[..., "subprocess.Popen[Any]"],
+    experiment: str,
+    tmp_path: Path,
 ) -> None:
     """The option ``--dashboard`` prints the address early; the dashboard ends with the run."""
     run = program(
         "zswarm.ot",
         "run",
-        "stadium",
+        experiment,
         "--servers",
         "local",
         "--set",
@@ -163,7 +179,7 @@ def test_a_running_run_is_shown_live(
             r"^dashboard: (http://\S+)$", (tmp_path / "program-0.log").read_text(), re.M
         )
     page.goto(found[1])
-    page.get_by_role("link", name="stadium").click(timeout=SLOW_MS)
+    page.get_by_role("link", name="shown").click(timeout=SLOW_MS)
     expect(page.locator(".badge")).to_contain_text("running", timeout=SLOW_MS)
     page.get_by_role("button", name="Pause").click()
     expect(page.locator(".badge")).to_contain_text("paused")
