@@ -171,7 +171,7 @@ def test_a_server_behind_a_long_slow_link_gets_the_trials_that_it_helps_with(
 
     How long generations take with it is in ``tests/ot/cluster/test_unequal_machines.py``.
     """
-    size = Size(generations=4, population=40, trials=4, hidden=hidden)
+    size = Size(4, population=40, trials=4, hidden=hidden, compiled=hidden > 1)
     undisturbed = play_undisturbed(tmp_path_factory.mktemp("undisturbed"), size)
     with Scene(tmp_path, size) as scene:
         (near, pace), (far, far_pace) = (
