@@ -31,10 +31,9 @@ HERE = Path(__file__).resolve().parent
 PEERS_FOLDER = HERE.parent / "build" / "peers"
 POPULATIONS, SLOTS, ROUNDS = (50, 400), (1, 2, 4, 8, 16), 3
 WHOLE = 4, 400  # the slots and the population that all ways are measured with
-# Generations before anything is measured: so many at least, and for so long.
-WARM, WARM_S = 3, 0.5
-# Measured in one round: so many, or as many as that takes.
-GENERATIONS, GENERATIONS_S = 5, 0.5
+# Generations before anything is measured: so many at least. Measured in one round: at most so many.
+WARM, GENERATIONS = 3, 5
+SECONDS = 0.5  # for as long each
 PEER_S = 180.0  # in one round, before it is ended
 
 
@@ -54,10 +53,10 @@ def main() -> None:
         help=f"worker processes [default: {shown(SLOTS)}]",
     )
     parser.add_argument(
-        "--warm-s",
+        "--seconds",
         type=float,
-        default=WARM_S,
-        help=f"of each peer, in each round [default: {WARM_S:g}]",
+        default=SECONDS,
+        help=f"to warm up, and of each measurement in a round [default: {SECONDS:g}]",
     )
     parser.add_argument(
         "--only", help=f"peers, with commas between [default: all of {', '.join(PEERS)}]"
@@ -80,7 +79,7 @@ def main() -> None:
         print(json.dumps(measured(options)))
         return
     if options.quick:
-        options.rounds, options.warm_s = 1, 0.05
+        options.rounds, options.seconds = 1, 0.02
         options.slots, options.populations = WHOLE[:1], POPULATIONS[:1]
     names = options.only.split(",") if options.only else list(PEERS)
     if unknown := set(names) - set(PEERS):
@@ -133,7 +132,7 @@ def one_round(
             if slots not in (PEERS[name].slots or options.slots):
                 continue
             begin = time.monotonic()
-            rows = in_own_process(name, slots, options.populations, options.warm_s)
+            rows = in_own_process(name, slots, options.populations, options.seconds)
             found += rows
             words = (
                 f"  not measured: {rows[0]['missing']}" if "missing" in rows[0] else ""
@@ -149,7 +148,7 @@ def in_own_process(
     name: str,
     slots: int,
     populations: tuple[int, ...],
-    warm_s: float,
+    seconds: float,
     works: Sequence[str] = tuple(WORKS),
 ) -> list[dict[str, Any]]:
     """Measure in a new process and return its rows; a row with ``missing`` says why it failed."""
@@ -166,8 +165,8 @@ def in_own_process(
         shown(populations),
         "--slots",
         str(slots),
-        "--warm-s",
-        str(warm_s),
+        "--seconds",
+        str(seconds),
         "--works",
         ",".join(works),
     ]
@@ -227,7 +226,7 @@ def measured(options: argparse.Namespace) -> list[dict[str, Any]]:
             "first_s": time.monotonic() - options.begun,
         }
         warm: list[float] = []
-        while len(warm) < WARM or sum(warm) < options.warm_s:
+        while len(warm) < WARM or sum(warm) < options.seconds:
             warm.append(
                 checked(
                     ways[0],
@@ -241,7 +240,7 @@ def measured(options: argparse.Namespace) -> list[dict[str, Any]]:
         # One after another: what a way has started may hold what the one before it needs.
         for way in ways:
             rows += [
-                {"peer": name, "slots": slots, **cost(way, work, population, slots)}
+                {"peer": name, "slots": slots, **cost(way, work, population, options)}
                 for work in options.works.split(",")
                 for population in populations
                 if worth(way, work, population, slots)
@@ -260,9 +259,11 @@ def worth(way: Way, work: str, population: int, slots: int) -> bool:
     return population == WHOLE[1] or not (way.aside or way.cut == WHOLES)
 
 
-def cost(way: Way, work: str, population: int, slots: int) -> dict[str, Any]:
+def cost(
+    way: Way, work: str, population: int, options: argparse.Namespace
+) -> dict[str, Any]:
     """Return microseconds per no-op, or efficiency, after a generation that does not count."""
-    size = min(population, way.most)
+    slots, size = options.slots[0], min(population, way.most)
     checked(
         way,
         leased.random_genomes(size if work == "noop" else max(1, size // 4)),
@@ -270,7 +271,7 @@ def cost(way: Way, work: str, population: int, slots: int) -> dict[str, Any]:
         slots,
     )
     times: list[float] = []
-    while len(times) < GENERATIONS and sum(times) < GENERATIONS_S:
+    while len(times) < GENERATIONS and sum(times) < options.seconds:
         times.append(checked(way, leased.random_genomes(size), work, slots))
     seconds = statistics.median(times)
     value = (
