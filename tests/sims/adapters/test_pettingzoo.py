@@ -31,7 +31,7 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     (
         "simple_v3",
         {"max_cycles": 10},
-        {"generations": 16, "trials": 5, "search": True, "others": 10},
+        {"generations": 10, "trials": 5, "search": True, "others": 10},
     ),
     (
         "simple_spread_v3",
@@ -53,7 +53,7 @@ EVOLVED: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ),
     (
         "multiwalker_v9",
-        {"max_cycles": 60},
+        {"max_cycles": 30},
         {"generations": 5, "runs": 3, "trials": 2, "unseen": 5, "others": 12},
     ),
 ]
@@ -120,7 +120,7 @@ def test_evolution_is_better_than_random_on_seeds_it_never_saw(
         ("CartPole-v1", {"generations": 5, "runs": 3, "others": 12}),
         (
             "Acrobot-v1",
-            {"generations": 4, "runs": 3, "trials": 2, "unseen": 5, "others": 9},
+            {"generations": 3, "runs": 3, "trials": 1, "unseen": 5, "others": 9},
         ),
         ("Pendulum-v1", {"generations": 6, "runs": 4}),
     ],
