@@ -292,7 +292,8 @@ def test_the_recorded_champion_is_better_than_the_controller_written_by_hand(
 @pytest.mark.parametrize(
     ("example", "between"),
     [
-        pytest.param("turtlebot-exit", -10, marks=pytest.mark.long),
+        pytest.param("turtlebot-exit generations=13", -10, marks=pytest.mark.long),
+        pytest.param("turtlebot-exit", -10, marks=pytest.mark.thorough),
         pytest.param("foraging-physical generations=18", 0.82, marks=pytest.mark.long),
         pytest.param("foraging-physical", 0.82, marks=pytest.mark.thorough),
     ],
