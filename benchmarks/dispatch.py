@@ -31,7 +31,7 @@ HERE = Path(__file__).resolve().parent
 PEERS_FOLDER = HERE.parent / "build" / "peers"
 POPULATIONS, SLOTS, ROUNDS = (50, 400), (1, 2, 4, 8, 16), 3
 WHOLE = 4, 400  # the slots and the population that all ways are measured with
-# Generations before anything is measured: so many at least. Measured in one round: at most so many.
+# Generations before anything is measured: so many at least. In one round: from one to so many.
 WARM, GENERATIONS = 3, 5
 SECONDS = 0.5  # for as long each
 PEER_S = 180.0  # in one round, before it is ended
@@ -271,7 +271,7 @@ def cost(
         slots,
     )
     times: list[float] = []
-    while len(times) < GENERATIONS and sum(times) < options.seconds:
+    while not times or (len(times) < GENERATIONS and sum(times) < options.seconds):
         times.append(checked(way, leased.random_genomes(size), work, slots))
     seconds = statistics.median(times)
     value = (

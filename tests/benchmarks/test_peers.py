@@ -44,7 +44,7 @@ def test_zswarm_and_a_process_pool_are_measured_side_by_side(tmp_path: Path) -> 
             "8",
             "--slots",
             "2",
-            "--warm-s",
+            "--seconds",
             "0",
         ],
         check=True,
