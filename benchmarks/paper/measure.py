@@ -52,7 +52,7 @@ class Plan(NamedTuple):
 
 QUICK = Plan(
     rounds=1,
-    figure_4=Size(2, 4),
+    figure_4=ONE,
     designs_steps=10,
     crowd_steps=10,
     grid_agents=(1, 2),
