@@ -31,9 +31,8 @@ HERE = Path(__file__).resolve().parent
 PEERS_FOLDER = HERE.parent / "build" / "peers"
 POPULATIONS, SLOTS, ROUNDS = (50, 400), (1, 2, 4, 8, 16), 3
 WHOLE = 4, 400  # the slots and the population that all ways are measured with
-# Generations before anything is measured: so many at least. In one round: from one to so many.
-WARM, GENERATIONS = 3, 5
-SECONDS = 0.5  # for as long each
+WARM, GENERATIONS = 3, 5  # at least so many to warm up, at most so many in a measurement
+SECONDS = 0.5  # that each of the two takes
 PEER_S = 180.0  # in one round, before it is ended
 
 

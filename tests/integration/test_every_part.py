@@ -240,7 +240,7 @@ def test_every_compatible_combination_of_parts_runs(
 @pytest.mark.long
 def test_combinations_that_do_not_fit_are_refused_in_one_line() -> None:
     for names in itertools.product(
-        ("duel", "xor"),  # with a ranking and without
+        ("duel", "xor"),  # a game and another: problems differ in nothing else here
         *(plugins.BUNDLED[kind] for kind in ("representation", "optimizer", "ranking")),
     ):
         parts = Parts(*names)
