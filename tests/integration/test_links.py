@@ -197,9 +197,10 @@ def test_four_megabytes_to_a_stopped_server_do_not_delay_others(tmp_path: Path) 
 
 def hang_a_batch(scene: Scene) -> Optimizer:
     """Stop a server during a send of 4 MB, which must not stop another server."""
-    victim, _ = scene.server("victim")
+    victim, victims_pace = scene.server("victim")
     other, pace = scene.server("other")
     pace.arm()
+    victims_pace.arm()  # of what arrives before it is stopped, nothing is played
     link = scene.enter(Proxy(victim.endpoint, rate=1_000_000))
     optimizer = scene.optimizer(f"{link.endpoint}#so_sndbuf=16384", other.endpoint)
     pace.held()
