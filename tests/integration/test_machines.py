@@ -192,7 +192,8 @@ def workstation(lab: Machines) -> Machine:
     machine.switch_on()
     machine.wait_up()
     machine.run(
-        f"python3 -m venv /opt/zswarm && /opt/zswarm/bin/pip install '{by_path('0.1.0')}'"
+        "python3 -m venv /opt/zswarm && "
+        f"/opt/zswarm/bin/pip install --no-compile '{by_path('0.1.0')}'"
     )
     machine.run(
         f"PATH=/opt/zswarm/bin:$PATH; cd /srv; {documented('Keys')}zswarm-keys join --yes "
