@@ -15,18 +15,19 @@ import shlex
 import shutil
 import signal
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self
+from typing import IO, Any, Self
 
 import pytest
 
-from tests.integration.programs import children, wait_until
+from tests.integration.programs import DEADLINE_S, children, wait_until
 
 SPACE = "8g"  # of memory, at most, that all machines may write
 BOOT_S = 90.0
 RUN_S = 180.0
+LOOK_S = 0.2  # between two looks at a machine, each of which starts programs there
 PREFIX = "zswarm"  # of a control group: zswarm-<pid of the test>-<6 hex digits>
 # Version 2, also where it is mounted beside version 1; and where systemd keeps its own groups on
 # such a system.
@@ -148,14 +149,21 @@ class Machine:
 
     def wait_up(self) -> None:
         """Wait until systemd has started everything."""
-        wait_until(
+        self.wait_until(
+            # It waits itself, once there is somebody to ask.
             lambda: (
-                self.run("systemctl is-system-running || :").strip()
+                self.run("systemctl is-system-running --wait || :").strip()
                 in ("running", "degraded")
             ),
             "it is up",
             BOOT_S,
         )
+
+    def wait_until(
+        self, condition: Callable[[], Any], what: str, deadline_s: float = DEADLINE_S
+    ) -> None:
+        """Wait until a condition that runs programs on a machine is true."""
+        wait_until(condition, f"{self.name}: {what}", deadline_s, LOOK_S)
 
     def run(self, script: str, answers: str = "") -> str:
         """Run a shell script as root on its console, answer its prompts, return its output."""

@@ -99,7 +99,7 @@ class Program:
         lines = (
             json.loads(line)
             for line in self.err.read_text().splitlines()
-            if line.startswith("{") and line.endswith("}")
+            if event in line and line.startswith("{") and line.endswith("}")
         )
         return [line for line in lines if line["event"] == event]
 
@@ -251,16 +251,14 @@ def command_line(process: int) -> str:
 
 def children(process: int) -> list[int]:
     """Return a process's children that have not ended."""
-    everybody = [
-        (int(path.name), status(int(path.name)))
-        for path in Path("/proc").iterdir()
-        if path.name.isdigit()
-    ]
-    return [
-        number
-        for number, found in everybody
-        if found and found.parent == process and found.state != "Z"
-    ]
+    found: list[int] = []
+    with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+        for thread in Path(f"/proc/{process}/task").iterdir():
+            # A thread may end between the two looks, and its process does not.
+            with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+                found += map(int, (thread / "children").read_text().split())
+    states = [(child, status(child)) for child in found]
+    return [child for child, state in states if state and state.state != "Z"]
 
 
 def install(folder: Path, module: str, source: str, simulators: str) -> str:

@@ -256,15 +256,13 @@ def show(machine: Machine, *names: str) -> list[str]:
 
 
 def wait_active(machine: Machine) -> None:
-    wait_until(
-        lambda: show(machine, "ActiveState") == ["active"], f"{machine.name} serves"
-    )
+    machine.wait_until(lambda: show(machine, "ActiveState") == ["active"], "it serves")
 
 
 def restart_counted(machine: Machine, restarts: int) -> None:
-    wait_until(
+    machine.wait_until(
         lambda: show(machine, "NRestarts", "ActiveState") == [str(restarts), "active"],
-        f"{machine.name} serves again",
+        "it serves again",
     )
 
 
@@ -314,7 +312,7 @@ def test_a_user_without_root_has_a_server(lab: Machines, workstation: Machine) -
         user = machine.run(
             "useradd --create-home alice && loginctl enable-linger alice && id --user alice"
         ).strip()
-        wait_until(
+        machine.wait_until(
             lambda: machine.run(f"ls /run/user/{user} 2>/dev/null || :"),
             "the user's systemd is there",
         )
