@@ -186,6 +186,14 @@ def test_the_nearest_word_is_suggested(name: str, typed: list[str], meant: str) 
             "'warning', 'error' (see zswarm-router --help)",
         ),
         (
+            ["zswarm-ot", "run", "--servers"],
+            "zswarm-ot: option '--servers' requires an argument (see zswarm-ot run --help)",
+        ),
+        (
+            ["zswarm-keys", "issue", "--days"],
+            "zswarm-keys: option '--days' requires an argument (see zswarm-keys issue --help)",
+        ),
+        (
             ["zswarm-keys", "join"],
             "zswarm-keys: missing argument 'BUNDLE' (see zswarm-keys join --help)",
         ),

@@ -19,12 +19,13 @@ from zswarm.ot.commands.shared.exits import (
     EXIT_NO_SERVERS,
 )
 from zswarm.system import program
+from zswarm.system.groups import Group
 from zswarm.system.version import VERSION
 
 LONGEST = 200  # characters of a command's first sentence in the list, which folds it
 
 
-class Commands(click.Group):
+class Commands(Group):
     """The modules of ``zswarm.ot.commands``, each of which is imported when its command is used."""
 
     def __init__(self, **more: Any) -> None:

@@ -17,6 +17,7 @@ from zswarm.security.members import Holder, Role, new_holder
 from zswarm.security.options import AuthorityOptions, at_authority, repeated
 from zswarm.security.report import say
 from zswarm.system import extras, program
+from zswarm.system.groups import Group
 from zswarm.system.version import VERSION
 
 if TYPE_CHECKING:
@@ -27,12 +28,12 @@ if TYPE_CHECKING:
 EXIT_FAILED, EXIT_MISTAKE = 1, 2
 
 
-class _Group(click.Group):
+class _Group(Group):
     """Report errors that the user can fix in one line."""
 
-    def invoke(self, context: click.Context) -> Any:
+    def invoke(self, ctx: click.Context) -> Any:
         try:
-            return super().invoke(context)
+            return super().invoke(ctx)
         except ConfigError as error:
             self._exit(EXIT_MISTAKE, str(error))
         except ModuleNotFoundError as error:
