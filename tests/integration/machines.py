@@ -150,7 +150,7 @@ class Machine:
     def wait_up(self) -> None:
         """Wait until systemd has started everything."""
         self.wait_until(
-            # It waits itself, once there is somebody to ask.
+            # systemctl waits itself, as soon as systemd answers it.
             lambda: (
                 self.run("systemctl is-system-running --wait || :").strip()
                 in ("running", "degraded")
